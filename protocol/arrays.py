@@ -1,0 +1,99 @@
+"""Array fields of a message: their type, shape and check.
+
+A field declared as ``Annotated[FloatArray, ArraySpec("<f8", ("anchors", 3))]`` travels as a raw frame of
+its own behind the header. A name in the shape is a size that all arrays of that message share.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import GetCoreSchemaHandler
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+#: Types that may travel, all little-endian.
+WIRE_TYPES = ("<f8", "<i8", "|u1")
+
+
+@dataclass(frozen=True)
+class ArraySpec:
+    """Type and shape of an array field.
+
+    Parameters
+    ----------
+    dtype : str
+        One of `WIRE_TYPES`.
+    shape : tuple of str or int
+        An int is a fixed size; a str is a name, equal over all arrays of the message.
+    unit : str
+        SI unit, for the specification.
+    """
+
+    dtype: str
+    shape: tuple[str | int, ...]
+    unit: str = "1"
+
+    def shape_text(self) -> str:
+        """Return the shape as it is written in the specification."""
+        return "(" + ", ".join(str(size) for size in self.shape) + ("," if len(self.shape) == 1 else "") + ")"
+
+    def check(self, value: Any) -> NDArray[Any]:
+        """Return `value` as a C-contiguous array of this type, or raise a pydantic error."""
+        if not isinstance(value, np.ndarray):
+            raise PydanticCustomError("array", "must be an array frame, not a {kind}", {"kind": type(value).__name__})
+        wanted = np.dtype(self.dtype)
+        if value.dtype != wanted:
+            raise PydanticCustomError(
+                "array_dtype",
+                "has dtype {got}, must have {wanted}",
+                {"got": value.dtype.str, "wanted": self.dtype},
+            )
+        fits = value.ndim == len(self.shape) and all(
+            isinstance(size, str) or size == value.shape[axis] for axis, size in enumerate(self.shape)
+        )
+        if not fits:
+            raise PydanticCustomError(
+                "array_shape", "has shape {got}, must have {wanted}",
+                {"got": str(value.shape), "wanted": self.shape_text()},
+            )  # fmt: skip
+        if wanted.kind == "f" and not np.isfinite(value).all():
+            where = np.argwhere(~np.isfinite(value))[0]
+            raise PydanticCustomError(
+                "array_finite", "holds {bad} at index {where}; every number must be finite",
+                {"bad": str(value[tuple(where)]), "where": str(where.tolist())},
+            )  # fmt: skip
+        return np.ascontiguousarray(value)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(self.check)
+
+
+@dataclass(frozen=True)
+class ArrayMapSpec:
+    """A field that holds any number of named arrays; array `a` of field `f` travels as frame `f.a`."""
+
+    unit: str = "SI"
+
+    def check(self, value: Any) -> dict[str, NDArray[Any]]:
+        """Return `value` as a dict of arrays of wire types, or raise a pydantic error."""
+        if not isinstance(value, dict):
+            raise PydanticCustomError("array_map", "must be a map of array frames")
+        for name, array in value.items():
+            if not isinstance(name, str) or not isinstance(array, np.ndarray) or array.dtype.str not in WIRE_TYPES:
+                raise PydanticCustomError(
+                    "array_map", "entry {name} must be an array of one of {types}",
+                    {"name": str(name), "types": ", ".join(WIRE_TYPES)},
+                )  # fmt: skip
+        return {name: np.ascontiguousarray(array) for name, array in value.items()}
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(self.check)
+
+
+ArrayMap = dict[str, NDArray[Any]]

@@ -1,0 +1,93 @@
+"""How a package announces a backend: an entry point of the group `scalebridge.backends`."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from protocol.service import Service
+
+GROUP = "scalebridge.backends"
+
+
+class BackendError(Exception):
+    """No such backend, or one that cannot be loaded."""
+
+
+@dataclass(frozen=True)
+class Backend:
+    """What an entry point of the group names; importing it must be cheap.
+
+    Parameters
+    ----------
+    name, role, summary : str
+    factory : str
+        `module:callable`; called with the working folder of the service, returns a `Service`.
+    launcher : str, optional
+        `module:callable`; called with the number of ranks, returns the words that go before the command
+        of a service of several ranks, such as ``["mpiexec", "-n", "2"]``. None: one process only.
+    """
+
+    name: str
+    role: str
+    summary: str
+    factory: str
+    launcher: str | None = None
+
+    def make(self, folder: Path) -> Service:
+        """Load the backend and return a new service that works in `folder`."""
+        service: Service = _load(self.factory)(folder)
+        return service
+
+    def launch_words(self, ranks: int) -> list[str]:
+        """Return the words before the command of a service with `ranks` ranks.
+
+        Raises
+        ------
+        BackendError
+            Where the backend runs as one process only.
+        """
+        if ranks == 1:
+            return []
+        if self.launcher is None:
+            raise BackendError(f"backend {self.name} runs as one process, not as {ranks} ranks")
+        words: list[str] = _load(self.launcher)(ranks)
+        return words
+
+
+def _load(path: str) -> Callable[..., Any]:
+    module, _, name = path.partition(":")
+    loaded: Callable[..., Any] = getattr(importlib.import_module(module), name)
+    return loaded
+
+
+def installed() -> dict[str, Backend]:
+    """Return the installed backends by name."""
+    found = {}
+    for entry in metadata.entry_points(group=GROUP):
+        backend = entry.load()
+        if not isinstance(backend, Backend):
+            raise BackendError(f"entry point {entry.name} of {GROUP} is a {type(backend).__name__}, not a Backend")
+        found[backend.name] = backend
+    return found
+
+
+def find(role: str, name: str | None) -> Backend:
+    """Return the backend `name` of a role, or the first of that role.
+
+    Raises
+    ------
+    BackendError
+        Where there is none; the message lists what is installed.
+    """
+    candidates = {key: backend for key, backend in installed().items() if backend.role == role}
+    if name is None and candidates:
+        return next(iter(candidates.values()))
+    if name is not None and name in candidates:
+        return candidates[name]
+    have = ", ".join(sorted(candidates)) or "none"
+    raise BackendError(f"no backend {name or ''!r} for the role {role!r}; installed for it: {have}")

@@ -1,0 +1,246 @@
+"""A client of one service: sends a request, waits for its one reply, repeats it if the link broke.
+
+Exactly once, from the client's side::
+
+    send(id) --reply(id)--> done
+       |--link broke, link back--> send(id) again: the service runs it once, and answers from its cache
+       |--link broke, not back within the grace--> PeerLost
+       |--deadline--> DeadlineExpired
+       |--reply of another session--> ServiceRestarted
+"""
+
+from __future__ import annotations
+
+import time
+import uuid
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+from pydantic import ValidationError
+
+from protocol.channel import CONNECTED, DISCONNECTED, REFUSED, Channel, ZmqChannel
+from protocol.dispatcher import UNKNOWN_ID, bad_field
+from protocol.errors import (
+    DeadlineExpired,
+    ErrorReport,
+    HandshakeRefused,
+    PeerLost,
+    ProtocolError,
+    ServiceRestarted,
+)
+from protocol.frames import MAX_MESSAGE_BYTES, Envelope, Frame, decode, encode, size_of
+from protocol.messages import Empty, Hello, Message, VersionRange, Welcome
+from protocol.roles import CONTROL, ROLES, Operation
+from protocol.version import NEWEST, OLDEST, Version, package_version
+
+#: Seconds between two looks at the link and at `watch`.
+LOOK_SECONDS = 0.1
+#: Seconds that a broken link may take to come back.
+LINK_GRACE_SECONDS = 5.0
+
+Reply = TypeVar("Reply", bound=Message)
+
+
+@dataclass
+class Timing:
+    """Where the time of a client's calls went, s."""
+
+    sending: float = 0.0
+    computing: float = 0.0
+    waiting: float = 0.0
+
+
+class Client:
+    """Speaks to one service.
+
+    Parameters
+    ----------
+    channel : Channel
+    role : str
+        Role that the service must have.
+    run : str
+        Id of the run, for the service's log.
+    watch : callable, optional
+        Called about ten times a second while waiting; may raise to end the wait, for instance because
+        the service's process has died.
+    """
+
+    def __init__(self, channel: Channel, role: str, *, run: str = "", watch: Callable[[], None] | None = None) -> None:
+        self.role = role
+        self.timing = Timing()
+        self.welcome: Welcome | None = None
+        self._channel = channel
+        self._control: Client | None = None
+        self._operations: dict[str, Operation] = ROLES[role].operations
+        self._run = run
+        self._watch = watch
+        self._session = ""
+        self._version = NEWEST
+        self._max_message_bytes = MAX_MESSAGE_BYTES
+
+    @classmethod
+    def connect(
+        cls,
+        endpoint: str,
+        role: str,
+        *,
+        keys: Path | None = None,
+        run: str = "",
+        watch: Callable[[], None] | None = None,
+        deadline: float = 60.0,
+    ) -> Client:
+        """Connect to a service, wait until it is ready, agree on a version.
+
+        Raises
+        ------
+        ConnectionProblem
+            Where nobody answers within `deadline` seconds, or the keys do not fit.
+        ProtocolError
+            Where versions or roles do not match; the sentence names both sides.
+        """
+        client = cls(ZmqChannel(endpoint, keys), role, run=run, watch=watch)
+        try:
+            client.hello(deadline)
+        except BaseException:
+            client.close()
+            raise
+        return client
+
+    def hello(self, deadline: float | None = None) -> Welcome:
+        """Exchange versions; must be the first call."""
+        hello = Hello(
+            versions=VersionRange(oldest=OLDEST, newest=NEWEST),
+            role=self.role,
+            client=f"scalebridge {package_version()}",
+        )
+        self.welcome = self.call("hello", hello, Welcome, deadline=deadline)
+        self._version = Version(*self.welcome.version)
+        self._max_message_bytes = self.welcome.max_message_bytes
+        return self.welcome
+
+    @property
+    def control(self) -> Client:
+        """Client of the control socket: `status`, `abort`, `shutdown` while the solver computes."""
+        if self._control is None:
+            if self.welcome is None:
+                raise RuntimeError("say hello before asking for the control socket")
+            self._control = Client(self._channel.control(self.welcome.control_endpoint), self.role, run=self._run)
+            self._control._operations = CONTROL
+            self._control._session = self._session
+        return self._control
+
+    def call(
+        self,
+        operation: str,
+        request: Message | None,
+        reply: type[Reply],
+        *,
+        step: int = 0,
+        deadline: float | None = None,
+    ) -> Reply:
+        """Send a request and return its reply.
+
+        Parameters
+        ----------
+        operation : str
+            Type of the message, such as ``"advance"``.
+        request : Message or None
+            None for an operation without fields.
+        reply : type of Message
+            Type of the reply.
+        step : int
+            Step counter of the run.
+        deadline : float, optional
+            Seconds to wait; by default that of the operation.
+
+        Raises
+        ------
+        ProtocolError
+            The error that the service answered, or `message_too_large` before anything is sent.
+        ConnectionProblem
+            See the module's state diagram.
+        """
+        began = time.perf_counter()
+        message = request if request is not None else Empty()
+        request_id = uuid.uuid4().hex
+        frames = encode(
+            Envelope(
+                "request", operation, request_id, message.plain_values(), message.array_values(), self._run,
+                self._session, step, protocol=self._version,
+            )
+        )  # fmt: skip
+        size = size_of(frames)
+        if size > self._max_message_bytes:
+            raise ProtocolError(
+                "message_too_large",
+                f"the request {operation} has {size} bytes, the {self.role} service takes at most "
+                f"{self._max_message_bytes}",
+            )
+        self._channel.send(frames)
+        sent = time.perf_counter()
+        wait = self._operations[operation].deadline if deadline is None else deadline
+        answer = self._await(request_id, operation, frames, wait)
+        received = time.perf_counter()
+        if answer.kind == "error":
+            raise _raised(answer)
+        try:
+            result = reply.from_parts(answer.body, answer.arrays)
+        except ValidationError as error:
+            raise bad_field(error, f"reply of the {self.role} service to {operation}") from None
+        self.timing.sending += sent - began + time.perf_counter() - received
+        self.timing.computing += answer.seconds
+        self.timing.waiting += max(0.0, received - sent - answer.seconds)
+        return result
+
+    def _await(self, request_id: str, operation: str, frames: list[Frame], wait: float) -> Envelope:
+        """Return the reply to a sent request; see the state diagram above."""
+        end = time.monotonic() + wait
+        broken_since: float | None = None
+        while True:
+            now = time.monotonic()
+            raw = self._channel.receive(min(LOOK_SECONDS, max(0.0, end - now)))
+            if raw is not None:
+                answer = decode(raw)
+                if answer.id in (request_id, UNKNOWN_ID):
+                    self._check_session(answer.session)
+                    return answer
+                continue  # a second copy of an older reply
+            for event in self._channel.link_events():
+                if event == REFUSED:
+                    raise HandshakeRefused(
+                        f"the {self.role} service refused the connection: its CURVE keys and ours do not fit"
+                    )
+                if event == DISCONNECTED and broken_since is None:
+                    broken_since = time.monotonic()
+                elif event == CONNECTED and broken_since is not None:
+                    broken_since = None
+                    self._channel.send(frames)
+            if self._watch is not None:
+                self._watch()
+            now = time.monotonic()
+            if broken_since is not None and operation != "hello" and now - broken_since > LINK_GRACE_SECONDS:
+                raise PeerLost(f"the link to the {self.role} service broke during {operation} and did not come back")
+            if now >= end:
+                raise DeadlineExpired(f"the {self.role} service did not answer {operation} within {wait:g} s")
+
+    def _check_session(self, session: str) -> None:
+        if self._session and session and session != self._session:
+            raise ServiceRestarted(f"the {self.role} service was started anew and has lost its state")
+        self._session = self._session or session
+
+    def close(self) -> None:
+        """Close the channels; the service goes on."""
+        if self._control is not None:
+            self._control.close()
+            self._control = None
+        self._channel.close()
+
+
+def _raised(answer: Envelope) -> ProtocolError:
+    report = ErrorReport.model_validate({"code": "internal", "sentence": "no sentence", **answer.body})
+    return ProtocolError(
+        report.code, report.sentence, hint=report.hint, field=report.field, step=report.step, origin=report.origin,
+        traceback_tail=report.traceback_tail,
+    )  # fmt: skip

@@ -1,0 +1,184 @@
+"""Envelope: a msgpack header frame, then one raw frame per array."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import msgpack
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, ValidationError
+
+from protocol.arrays import WIRE_TYPES
+from protocol.errors import ProtocolError
+from protocol.version import NEWEST, Version
+
+#: Default limit of a message, all frames together.
+MAX_MESSAGE_BYTES = 1 << 30
+#: A header larger than this is refused before it is read.
+MAX_HEADER_BYTES = 1 << 24
+
+Frame = Any  # bytes, memoryview or zmq.Frame buffer
+
+
+class ArrayEntry(BaseModel):
+    """Row of the array table: frame k + 1 holds the array of row k."""
+
+    model_config = ConfigDict(extra="ignore", strict=True)
+
+    name: str
+    dtype: str
+    shape: list[NonNegativeInt] = Field(max_length=8)
+    order: str
+
+
+class Header(BaseModel):
+    """First frame of every message."""
+
+    model_config = ConfigDict(extra="ignore", strict=True)
+
+    protocol: list[NonNegativeInt] = Field(
+        min_length=2, max_length=2, description="version in use; of a `hello`, the newest of the sender"
+    )
+    kind: str = Field(pattern="^(request|reply|error)$", description="`request`, `reply` or `error`")
+    type: str = Field(max_length=64, description="operation, such as `advance`; a reply repeats it")
+    id: str = Field(min_length=1, max_length=64, description="id of the request; a reply repeats it")
+    run: str = Field(default="", max_length=128, description="id of the run, for logs")
+    session: str = Field(default="", max_length=64, description="of replies: changes when a service starts anew")
+    step: int = Field(
+        default=0, ge=-(2**63), lt=2**63, description="step counter of the coordinator; a reply repeats it"
+    )
+    seconds: float = Field(default=0.0, allow_inf_nan=False, description="of replies: time spent computing, s")
+    body: dict[str, Any] = Field(default_factory=dict, description="fields that are not arrays")
+    arrays: list[ArrayEntry] = Field(default_factory=list, max_length=256, description="table of the array frames")
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """A message as it travels, with its arrays."""
+
+    kind: str
+    type: str
+    id: str
+    body: dict[str, Any]
+    arrays: dict[str, np.ndarray] = field(default_factory=dict)
+    run: str = ""
+    session: str = ""
+    step: int = 0
+    seconds: float = 0.0
+    protocol: Version = NEWEST
+
+
+def encode(envelope: Envelope) -> list[Frame]:
+    """Return the frames of a message; array frames share memory with the arrays.
+
+    Raises
+    ------
+    ProtocolError
+        `malformed_message` where an array is not of a wire type or the body cannot be packed.
+    """
+    table = []
+    frames: list[Frame] = [b""]
+    for name, array in envelope.arrays.items():
+        if array.dtype.str not in WIRE_TYPES:
+            raise ProtocolError(
+                "malformed_message",
+                f"array {name} has dtype {array.dtype.str}, allowed are {', '.join(WIRE_TYPES)}",
+            )
+        contiguous = np.ascontiguousarray(array)
+        table.append({"name": name, "dtype": array.dtype.str, "shape": list(array.shape), "order": "C"})
+        # A memoryview cannot be cast where a size is zero; such a frame is empty.
+        frames.append(contiguous.reshape(-1).view(np.uint8).data if contiguous.size else b"")
+    header = {
+        "protocol": list(envelope.protocol),
+        "kind": envelope.kind,
+        "type": envelope.type,
+        "id": envelope.id,
+        "run": envelope.run,
+        "session": envelope.session,
+        "step": envelope.step,
+        "seconds": envelope.seconds,
+        "body": envelope.body,
+        "arrays": table,
+    }
+    try:
+        frames[0] = msgpack.packb(header)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ProtocolError("malformed_message", f"the body of {envelope.type} cannot be packed: {error}") from error
+    return frames
+
+
+def size_of(frames: list[Frame]) -> int:
+    """Return the bytes of all frames together."""
+    return sum(memoryview(frame).nbytes for frame in frames)
+
+
+def decode(frames: list[Frame]) -> Envelope:
+    """Return the message that the frames hold; arrays share memory with their frames and are read-only.
+
+    Raises
+    ------
+    ProtocolError
+        `malformed_message`, with a sentence that says what is wrong.
+    """
+    if not frames:
+        raise ProtocolError("malformed_message", "a message needs a header frame, got none")
+    first = memoryview(frames[0])
+    if first.nbytes > MAX_HEADER_BYTES:
+        raise ProtocolError("malformed_message", f"the header has {first.nbytes} bytes, at most {MAX_HEADER_BYTES}")
+    try:
+        raw = msgpack.unpackb(first, strict_map_key=True)
+    except Exception as error:  # msgpack raises ValueError, its own kinds and UnicodeDecodeError alike
+        raise ProtocolError("malformed_message", f"the header frame is not msgpack: {error}") from None
+    try:
+        header = Header.model_validate(raw)
+    except ValidationError as error:
+        problem = error.errors()[0]
+        path = ".".join(str(part) for part in problem["loc"]) or "header"
+        raise ProtocolError(
+            "malformed_message", f"header field {path}: {problem['msg']}", field=f"header.{path}"
+        ) from None
+    if len(frames) != len(header.arrays) + 1:
+        raise ProtocolError(
+            "malformed_message",
+            f"the array table lists {len(header.arrays)} arrays, but {len(frames) - 1} frames follow",
+        )
+    arrays: dict[str, np.ndarray] = {}
+    for entry, frame in zip(header.arrays, frames[1:], strict=True):
+        arrays[entry.name] = _array(entry, frame)
+    if len(arrays) != len(header.arrays):
+        raise ProtocolError("malformed_message", "the array table lists a name twice", field="header.arrays")
+    return Envelope(
+        kind=header.kind, type=header.type, id=header.id, body=header.body, arrays=arrays, run=header.run,
+        session=header.session, step=header.step, seconds=header.seconds, protocol=Version(*header.protocol),
+    )  # fmt: skip
+
+
+def _array(entry: ArrayEntry, frame: Frame) -> np.ndarray:
+    """Return the array of one frame, checked against its row of the table."""
+    where = f"header.arrays.{entry.name}"
+    if entry.dtype not in WIRE_TYPES:
+        raise ProtocolError(
+            "malformed_message", f"dtype {entry.dtype!r} is none of {', '.join(WIRE_TYPES)}", field=where
+        )
+    if entry.order != "C":
+        raise ProtocolError("malformed_message", f"order {entry.order!r} is not C", field=where)
+    dtype = np.dtype(entry.dtype)
+    count = 1
+    for size in entry.shape:
+        count *= size
+    view = memoryview(frame)
+    if view.nbytes != count * dtype.itemsize:
+        raise ProtocolError(
+            "malformed_message",
+            f"shape {entry.shape} of {entry.dtype} needs {count * dtype.itemsize} bytes, the frame has {view.nbytes}",
+            field=where,
+        )
+    try:
+        array = np.frombuffer(view, dtype=dtype).reshape(entry.shape) if count else np.empty(entry.shape, dtype)
+    except ValueError as error:  # a shape with a zero and sizes beyond what numpy can index
+        raise ProtocolError("malformed_message", f"shape {entry.shape}: {error}", field=where) from None
+    if not array.flags.aligned:
+        array = array.copy()  # compiled solvers need aligned memory; large frames always are
+    array.flags.writeable = False
+    return array

@@ -1,0 +1,110 @@
+"""Roles: which operations a role has, with their messages, and in which states they are allowed.
+
+`micromechanics` and `structure` will be further entries of `ROLES`; nothing else changes for them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from protocol import atomistic as a
+from protocol import continuum as c
+from protocol.messages import (
+    Acknowledged,
+    CheckpointReply,
+    Empty,
+    FieldsReply,
+    FieldsRequest,
+    Hello,
+    Message,
+    Restored,
+    RestoreRequest,
+    Status,
+    Welcome,
+)
+
+ANY = frozenset({"new", "configured", "registered", "ready", "failed"})
+CONFIGURED = frozenset({"configured", "registered", "ready"})
+REGISTERED = frozenset({"registered", "ready"})
+READY = frozenset({"ready"})
+
+
+@dataclass(frozen=True)
+class Operation:
+    """One type of request.
+
+    Parameters
+    ----------
+    request, reply : type of Message
+    allowed : frozenset of str
+        States in which the service takes it.
+    leads_to : str or None
+        State after it; None leaves the state as it is.
+    deadline : float
+        Seconds that a client waits by default.
+    """
+
+    request: type[Message]
+    reply: type[Message]
+    allowed: frozenset[str]
+    leads_to: str | None = None
+    deadline: float = 60.0
+
+
+@dataclass(frozen=True)
+class Role:
+    """A role on the wire."""
+
+    name: str
+    purpose: str
+    operations: dict[str, Operation] = field(default_factory=dict)
+
+
+HELLO = Operation(Hello, Welcome, ANY, deadline=10.0)
+SHUTDOWN = Operation(Empty, Acknowledged, ANY, deadline=10.0)
+
+#: Operations of the control socket, the same for every role.
+CONTROL: dict[str, Operation] = {
+    "hello": HELLO,
+    "status": Operation(Empty, Status, ANY, deadline=5.0),
+    "abort": Operation(Empty, Acknowledged, ANY, deadline=5.0),
+    "shutdown": SHUTDOWN,
+}
+
+ROLES: dict[str, Role] = {
+    role.name: role
+    for role in (
+        Role(
+            "continuum",
+            "advance a continuum under interface reaction forces; displacement and velocity at anchors; fields",
+            {
+                "hello": HELLO,
+                "configure": Operation(c.ContinuumConfigure, c.ContinuumConfigured, ANY, "configured", 120.0),
+                "register": Operation(c.ContinuumRegister, c.ContinuumRegistered, CONFIGURED, "ready", 120.0),
+                "advance": Operation(c.ContinuumAdvance, c.ContinuumAdvanced, READY, None, 600.0),
+                "fields": Operation(FieldsRequest, FieldsReply, CONFIGURED),
+                "checkpoint": Operation(Empty, CheckpointReply, READY),
+                "restore": Operation(RestoreRequest, Restored, READY, "ready"),
+                "status": Operation(Empty, Status, ANY, deadline=5.0),
+                "shutdown": SHUTDOWN,
+            },
+        ),
+        Role(
+            "atomistic",
+            "run M steps while anchors are held; time-averaged reaction forces with their standard error; fields",
+            {
+                "hello": HELLO,
+                "properties": Operation(a.PropertiesRequest, a.Properties, ANY, None, 600.0),
+                "configure": Operation(a.AtomisticConfigure, a.AtomisticConfigured, ANY, "configured", 120.0),
+                "register": Operation(a.AtomisticRegister, a.AtomisticRegistered, CONFIGURED, "registered", 120.0),
+                "equilibrate": Operation(a.EquilibrateRequest, a.Equilibrated, REGISTERED, "ready", 3600.0),
+                "advance": Operation(a.AtomisticAdvance, a.AtomisticAdvanced, READY, None, 3600.0),
+                "fields": Operation(FieldsRequest, FieldsReply, CONFIGURED),
+                "checkpoint": Operation(Empty, CheckpointReply, READY, deadline=120.0),
+                "restore": Operation(RestoreRequest, Restored, REGISTERED, "ready", 120.0),
+                "status": Operation(Empty, Status, ANY, deadline=5.0),
+                "shutdown": SHUTDOWN,
+            },
+        ),
+    )
+}

@@ -1,0 +1,191 @@
+"""A service behind ZeroMQ: a work socket in the solver's thread, a control socket in a thread of its own.
+
+The work socket is polled by the thread that computes, so a request costs no hop between threads. The
+control thread answers status, abort and shutdown while the solver computes (solvers release the
+interpreter lock), and ends the process when its parent is gone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import psutil
+import zmq
+import zmq.auth
+from zmq.auth.thread import ThreadAuthenticator
+
+from protocol.dispatcher import Dispatcher, Host
+from protocol.frames import MAX_MESSAGE_BYTES
+from protocol.security import AUTHORIZED, SERVER, check_binding, load_pair
+from protocol.service import Service
+
+log = logging.getLogger(__name__)
+
+HEARTBEAT_INTERVAL_MS = 200
+HEARTBEAT_TIMEOUT_MS = 800
+POLL_MS = 100
+#: Exit status of a service whose parent is gone.
+ORPHANED = 3
+
+
+def set_heartbeats(socket: zmq.Socket[bytes]) -> None:
+    """Let both ends notice a dead peer within a second; libzmq answers even while Python computes."""
+    socket.setsockopt(zmq.HEARTBEAT_IVL, HEARTBEAT_INTERVAL_MS)
+    socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, HEARTBEAT_TIMEOUT_MS)
+    socket.setsockopt(zmq.HEARTBEAT_TTL, HEARTBEAT_TIMEOUT_MS)
+
+
+class Server:
+    """One service at one endpoint.
+
+    Parameters
+    ----------
+    service : Service
+    endpoint : str
+        `ipc://PATH` or `tcp://HOST:PORT`; `*` as port takes a free one.
+    keys : Path, optional
+        Folder made by `scalebridge keys`; turns CURVE on.
+    insecure_public : bool
+        Allow an address beyond this machine without keys.
+    max_message_bytes : int
+        Limit of a message, all frames together.
+    parent : int, optional
+        Process id; when that process is gone, this one exits.
+
+    Raises
+    ------
+    SecurityError
+        Where the address needs keys, or they cannot be read.
+    """
+
+    def __init__(
+        self,
+        service: Service,
+        endpoint: str,
+        *,
+        keys: Path | None = None,
+        insecure_public: bool = False,
+        max_message_bytes: int = MAX_MESSAGE_BYTES,
+        parent: int | None = None,
+    ) -> None:
+        check_binding(endpoint, keys, insecure_public)
+        self.host = Host(service, max_message_bytes)
+        self._parent = _process(parent)
+        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self._sockets: list[zmq.Socket[bytes]] = []
+        self._authenticator: ThreadAuthenticator | None = None
+        if keys is not None:
+            self._authenticator = ThreadAuthenticator(self._context)
+            self._authenticator.start()
+            self._authenticator.configure_curve(domain="*", location=str(keys / AUTHORIZED))
+        self._keys = load_pair(keys, SERVER) if keys is not None else None
+        try:
+            self._work = self._bind(endpoint)
+            self.endpoint = self._work.getsockopt_string(zmq.LAST_ENDPOINT)
+            self._control = self._bind(_control_address(self.endpoint))
+            self.host.control_endpoint = self._control.getsockopt_string(zmq.LAST_ENDPOINT)
+        except zmq.ZMQError:
+            self.close()
+            raise
+
+    def _bind(self, endpoint: str) -> zmq.Socket[bytes]:
+        socket = self._context.socket(zmq.ROUTER)
+        self._sockets.append(socket)
+        set_heartbeats(socket)
+        socket.setsockopt(zmq.LINGER, 1000)
+        # A client that reconnects under its old identity takes over from its broken connection.
+        socket.setsockopt(zmq.ROUTER_HANDOVER, 1)
+        # The named error for a large message needs the message; beyond twice the limit libzmq cuts it off.
+        socket.setsockopt(zmq.MAXMSGSIZE, 2 * self.host.max_message_bytes)
+        if self._keys is not None:
+            socket.curve_server = True
+            socket.curve_publickey = self._keys.public
+            socket.curve_secretkey = self._keys.secret
+        socket.bind(endpoint)
+        return socket
+
+    def run(self, on_ready: Callable[[str], None] | None = None) -> None:
+        """Serve until a client asks to shut down or `stop` is called."""
+        control = threading.Thread(target=self._run_control, name="control", daemon=True)
+        control.start()
+        if on_ready is not None:
+            on_ready(self.endpoint)
+        try:
+            _answer_until(self._work, self.host.work, lambda: self.host.stopping)
+        finally:
+            self.host.stopping = True
+            control.join(timeout=5)
+            self.host.service.close()
+            self.close()
+
+    def stop(self) -> None:
+        """End `run` at its next look; the operation in work is aborted at its next check."""
+        self.host.service.activity.abort.set()
+        self.host.stopping = True
+
+    def _run_control(self) -> None:
+        def done() -> bool:
+            if self._parent is not None and not self._parent.is_running():
+                log.error("the parent process %d is gone: exit", self._parent.pid)
+                os._exit(ORPHANED)
+            return self.host.stopping
+
+        _answer_until(self._control, self.host.control, done)
+
+    def close(self) -> None:
+        """Close sockets; replies on their way are given a second."""
+        for socket in self._sockets:
+            socket.close()
+        if self._authenticator is not None:
+            self._authenticator.stop()
+            self._authenticator = None
+        self._context.term()
+
+
+def _answer_until(socket: zmq.Socket[bytes], dispatcher: Dispatcher, done: Callable[[], bool]) -> None:
+    while not done():
+        if not socket.poll(POLL_MS):
+            continue
+        identity, *frames = socket.recv_multipart(copy=False)
+        # A DEALER may or may not put an empty delimiter first, as REQ does; both are understood.
+        if frames and len(frames[0]) == 0 and len(frames) > 1:
+            frames = frames[1:]
+        answer = dispatcher.handle([frame.buffer for frame in frames])
+        socket.send_multipart([identity.bytes, *answer], copy=False)
+
+
+def _control_address(endpoint: str) -> str:
+    """Return where the control socket binds beside a work socket."""
+    parts = urlsplit(endpoint)
+    if parts.scheme == "ipc":
+        return endpoint + ".control"
+    host = endpoint.removeprefix("tcp://").rsplit(":", 1)[0]
+    return f"tcp://{host}:*"
+
+
+def _process(pid: int | None) -> psutil.Process | None:
+    if pid is None:
+        return None
+    try:
+        return psutil.Process(pid)
+    except psutil.NoSuchProcess:
+        os._exit(ORPHANED)
+
+
+@contextlib.contextmanager
+def running(service: Service, endpoint: str, **options: object) -> Iterator[Server]:
+    """Serve from a thread of this process, for tests and notebooks."""
+    server = Server(service, endpoint, **options)  # type: ignore[arg-type]
+    thread = threading.Thread(target=server.run, name="server", daemon=True)
+    thread.start()
+    try:
+        yield server
+    finally:
+        server.stop()
+        thread.join(timeout=10)
