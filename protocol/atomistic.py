@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Self
 
-from pydantic import Field, NonNegativeInt, PositiveInt
+import numpy as np
+from pydantic import Field, model_validator
 
 from protocol.arrays import ArraySpec, FloatArray, IntArray
-from protocol.messages import Finite, Message, NonNegative, Part, Positive
+from protocol.messages import (
+    Count,
+    Finite,
+    Message,
+    Natural,
+    NonNegative,
+    Part,
+    Positive,
+    check_indices,
+    wrong,
+)
 
 
 class PropertiesRequest(Message):
@@ -15,57 +26,57 @@ class PropertiesRequest(Message):
 
     force_field: str = Field(description="a name of `capabilities.force_fields`")
     material: str = Field(description="a name of `capabilities.materials`")
-    temperature: NonNegative = Field(description="K; 0 is a static measurement")
-    seed: NonNegativeInt
+    temperature: NonNegative = Field(description="[K] 0 is a static measurement")
+    seed: Natural = Field(description="of the random numbers; equal seeds give equal answers")
 
 
 class Properties(Message):
     """Isotropic constants at zero stress, each with its standard error (0 for a static measurement)."""
 
-    lattice_constant: float = Field(description="nearest-neighbour distance, m")
-    lattice_constant_error: float
-    young: float = Field(description="Young's modulus, Pa")
-    young_error: float
-    poisson: float
-    poisson_error: float
-    density: float = Field(description="kg/m3")
-    thickness: float = Field(description="thickness to which Pa and kg/m3 refer, m")
+    lattice_constant: float = Field(description="[m] nearest-neighbour distance")
+    lattice_constant_error: float = Field(description="[m] standard error")
+    young: float = Field(description="[Pa] Young's modulus")
+    young_error: float = Field(description="[Pa] standard error")
+    poisson: float = Field(description="[1] Poisson's ratio")
+    poisson_error: float = Field(description="[1] standard error")
+    density: float = Field(description="[kg/m3] mass per volume")
+    thickness: float = Field(description="[m] thickness to which Pa and kg/m3 refer")
 
 
 class CrackCut(Part):
     """A crack from the left edge of the sample to `tip_x` at height `y`, made by removing atoms."""
 
-    tip_x: Finite = Field(description="m")
-    y: Finite = Field(description="m")
+    tip_x: Finite = Field(description="[m] x of the tip")
+    y: Finite = Field(description="[m] height of the crack line")
 
 
 class Sample(Part):
     """A flat sample centred on the origin; the service makes it from the nearest whole cells."""
 
     material: str = Field(description="a name of `capabilities.materials`")
-    width: Positive = Field(description="extent along x, m")
-    height: Positive = Field(description="extent along y, m")
-    lattice_constant: Positive | None = Field(default=None, description="m; absent: that of the force field at 0 K")
-    crack: CrackCut | None = None
+    width: Positive = Field(description="[m] extent along x")
+    height: Positive = Field(description="[m] extent along y")
+    lattice_constant: Positive | None = Field(default=None, description="[m] absent: that of the force field at 0 K")
+    crack: CrackCut | None = Field(default=None, description="absent: no crack")
 
 
 class AtomisticConfigure(Message):
     """The whole atomistic problem."""
 
     force_field: str = Field(description="a name of `capabilities.force_fields`")
-    sample: Sample
-    temperature: NonNegative = Field(description="K")
-    time_step: Positive = Field(description="s")
-    seed: NonNegativeInt
+    sample: Sample = Field(description="what to build")
+    temperature: NonNegative = Field(description="[K] of the run")
+    time_step: Positive = Field(description="[s] step of the integration")
+    seed: Natural = Field(description="of all random numbers of the run")
 
 
 class AtomisticConfigured(Message):
     """What was built. Ids are stable names of atoms; rows of all atom arrays are in this order."""
 
-    atom_id: Annotated[IntArray, ArraySpec("<i8", ("atoms",))]
-    position: Annotated[FloatArray, ArraySpec("<f8", ("atoms", 3), "m")]
-    atom_mass: Annotated[FloatArray, ArraySpec("<f8", ("atoms",), "kg")]
-    warnings: list[str]
+    atom_id: Annotated[IntArray, ArraySpec("<i8", ("atoms",))] = Field(description="unique")
+    position: Annotated[FloatArray, ArraySpec("<f8", ("atoms", 3), "m")] = Field(description="of the sample as built")
+    atom_mass: Annotated[FloatArray, ArraySpec("<f8", ("atoms",), "kg")] = Field(description="mass of each atom")
+    warnings: list[str] = Field(description="what a user should know, one sentence each")
 
 
 class AtomisticRegister(Message):
@@ -75,66 +86,95 @@ class AtomisticRegister(Message):
     thermostat, so the anchored atoms are kept at the temperature of the run.
     """
 
-    atom_id: Annotated[IntArray, ArraySpec("<i8", ("anchors",))]
-    anchor_position: Annotated[FloatArray, ArraySpec("<f8", ("anchors", 3), "m")]
-    anchor_ivc: Annotated[IntArray, ArraySpec("<i8", ("anchors",))]
-    stiffness: Annotated[FloatArray, ArraySpec("<f8", ("anchors",), "N/m")]
-    damping_time: Positive | None = Field(default=None, description="s; absent: no damper, no thermostat")
+    atom_id: Annotated[IntArray, ArraySpec("<i8", ("anchors",))] = Field(
+        description="atom of each anchor; an atom has at most one"
+    )
+    anchor_position: Annotated[FloatArray, ArraySpec("<f8", ("anchors", 3), "m")] = Field(
+        description="where the anchors are at rest"
+    )
+    anchor_ivc: Annotated[IntArray, ArraySpec("<i8", ("anchors",))] = Field(
+        description="row of the IVC that the anchor belongs to, 0 to ivcs - 1"
+    )
+    stiffness: Annotated[FloatArray, ArraySpec("<f8", ("anchors",), "N/m")] = Field(
+        description="of each spring, not negative"
+    )
+    damping_time: Positive | None = Field(default=None, description="[s] absent: no damper, no thermostat")
+
+    @model_validator(mode="after")
+    def _indices_and_stiffness(self) -> Self:
+        check_indices("anchor_ivc", self.anchor_ivc, None)
+        if (self.stiffness < 0).any():
+            raise wrong("stiffness", f"holds {self.stiffness.min():g}; a stiffness is not negative")
+        if len(np.unique(self.atom_id)) != len(self.atom_id):
+            raise wrong("atom_id", "names an atom twice; an atom has at most one anchor")
+        return self
 
 
 class AtomisticRegistered(Message):
     """The anchors are set."""
 
-    ivcs: int
+    ivcs: Natural = Field(description="number of IVCs: largest `anchor_ivc` plus one, 0 without anchors")
 
 
 class EquilibrateRequest(Message):
     """Bring the atoms to temperature with anchors at rest, then measure the reference force f(t0) of Eq 87."""
 
-    steps: NonNegativeInt = Field(description="steps before the measurement")
-    windows: PositiveInt = Field(description="windows of the reference average")
-    window_steps: PositiveInt = Field(description="M: steps of a window, as in `advance`")
+    steps: Natural = Field(description="steps before the measurement")
+    windows: Count = Field(description="windows of the reference average")
+    window_steps: Count = Field(description="M: steps of a window, as in `advance`")
 
 
 class Equilibrated(Message):
     """Reference forces on the continuum, and how much one window's mean scatters."""
 
-    reference_ivc_force: Annotated[FloatArray, ArraySpec("<f8", ("ivcs", 3), "N")]
+    reference_ivc_force: Annotated[FloatArray, ArraySpec("<f8", ("ivcs", 3), "N")] = Field(
+        description="mean over all windows; `advance` subtracts it"
+    )
     reference_ivc_error: Annotated[FloatArray, ArraySpec("<f8", ("ivcs", 3), "N")] = Field(
         description="standard error of the reference"
     )
     window_ivc_deviation: Annotated[FloatArray, ArraySpec("<f8", ("ivcs", 3), "N")] = Field(
         description="standard deviation of one window's mean"
     )
-    temperature: float = Field(description="mean over the reference windows, all atoms, K")
+    temperature: float = Field(description="[K] mean over the reference windows, all atoms")
 
 
 class AtomisticAdvance(Message):
     """Set the anchors, hold them, integrate `steps` (M) steps."""
 
-    steps: PositiveInt
-    anchor_position: Annotated[FloatArray, ArraySpec("<f8", ("anchors", 3), "m")]
-    anchor_velocity: Annotated[FloatArray, ArraySpec("<f8", ("anchors", 3), "m/s")]
+    steps: Count = Field(description="M, the window of the average")
+    anchor_position: Annotated[FloatArray, ArraySpec("<f8", ("anchors", 3), "m")] = Field(
+        description="where the anchors are held, rows as in `register`"
+    )
+    anchor_velocity: Annotated[FloatArray, ArraySpec("<f8", ("anchors", 3), "m/s")] = Field(
+        description="velocity that the damper works against; it does not move the anchors"
+    )
 
 
 class AtomisticAdvanced(Message):
     """Averages over the window (Eq 87) and the state at its end. Forces act on the continuum."""
 
-    step: NonNegativeInt
+    step: Natural = Field(description="step counter of the solver")
     anchor_force: Annotated[FloatArray, ArraySpec("<f8", ("anchors", 3), "N")] = Field(
         description="mean of spring and damper minus the reference"
     )
     ivc_force: Annotated[FloatArray, ArraySpec("<f8", ("ivcs", 3), "N")] = Field(
         description="sum of the anchor forces of each IVC"
     )
-    ivc_standard_error: Annotated[FloatArray, ArraySpec("<f8", ("ivcs", 3), "N")]
-    temperature: float = Field(description="all atoms, K")
-    handshake_temperature: float = Field(description="anchored atoms, K")
-    potential_energy: float = Field(description="J, without the springs")
-    kinetic_energy: float = Field(description="J")
-    spring_energy: float = Field(description="J")
-    anchor_work: float = Field(description="work done on the springs by moving anchors since the start, J")
-    broken_bonds: int = Field(description="bonds of the unloaded sample that are broken now")
-    crack_tip: Finite | None = Field(description="x of the tip by connectivity, m; absent without a crack")
-    longest_bond: float = Field(description="m")
-    warnings: list[str]
+    ivc_standard_error: Annotated[FloatArray, ArraySpec("<f8", ("ivcs", 3), "N")] = Field(
+        description="standard error of `ivc_force`"
+    )
+    temperature: float = Field(description="[K] all atoms")
+    handshake_temperature: float = Field(description="[K] anchored atoms")
+    potential_energy: float = Field(description="[J] without the springs")
+    kinetic_energy: float = Field(description="[J] of all atoms")
+    spring_energy: float = Field(description="[J] in the springs of the anchors")
+    anchor_work: float = Field(
+        description="[J] work that springs, dampers and thermostat did on the atoms since configure"
+    )
+    broken_bonds: Natural = Field(description="bonds of the unloaded sample that are broken now")
+    crack_tip: Finite | None = Field(
+        default=None, description="[m] x of the tip by connectivity; absent without a crack"
+    )
+    longest_bond: float = Field(description="[m] length of the longest bond that holds")
+    warnings: list[str] = Field(description="what a user should know, one sentence each")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,9 @@ class Backend:
     launcher : str, optional
         `module:callable`; called with the number of ranks, returns the words that go before the command
         of a service of several ranks, such as ``["mpiexec", "-n", "2"]``. None: one process only.
+    seconds_per_unit_step : dict of str to float
+        Seconds per step and atom or material point on one core, by force field (``""`` where the role has
+        none); for estimates before a run.
     """
 
     name: str
@@ -37,6 +40,7 @@ class Backend:
     summary: str
     factory: str
     launcher: str | None = None
+    seconds_per_unit_step: dict[str, float] = field(default_factory=dict)
 
     def make(self, folder: Path) -> Service:
         """Load the backend and return a new service that works in `folder`."""

@@ -120,6 +120,10 @@ class Client:
         self._max_message_bytes = self.welcome.max_message_bytes
         return self.welcome
 
+    def watch_with(self, watch: Callable[[], None]) -> None:
+        """Set what is called about ten times a second while waiting; it may raise to end the wait."""
+        self._watch = watch
+
     @property
     def control(self) -> Client:
         """Client of the control socket: `status`, `abort`, `shutdown` while the solver computes."""

@@ -15,12 +15,14 @@ import uuid
 from collections import OrderedDict
 from typing import Any
 
+import msgpack
 import psutil
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
 
 from protocol.errors import ErrorReport, ProtocolError, traceback_tail
-from protocol.frames import MAX_MESSAGE_BYTES, Envelope, Frame, decode, encode, size_of
-from protocol.messages import Acknowledged, Empty, Hello, Message, Status, VersionRange, Welcome
+from protocol.frames import MAX_HEADER_BYTES, MAX_MESSAGE_BYTES, Envelope, Frame, decode, encode, size_of
+from protocol.messages import FIELD_RULE, Acknowledged, Empty, Hello, Message, Status, VersionRange, Welcome
 from protocol.roles import CONTROL, ROLES, Operation
 from protocol.service import Service
 from protocol.version import NEWEST, OLDEST, Version, agree
@@ -256,20 +258,28 @@ class Dispatcher:
             reply = host.perform(request.type, message)
         except ValidationError as error:
             # The service built a reply that breaks its own model: in practice a NaN out of the solver.
-            host.state = "failed"
+            self._state_is_lost(operation)
             problem = bad_field(error, f"reply to {request.type}")
             raise ProtocolError(
                 "solver_failed", problem.report.sentence, field=problem.report.field, step=host.service.step
             ) from None
         except ProtocolError as error:
-            if error.code in ("solver_failed", "aborted") and operation.leads_to != "configured":
-                host.state = "failed" if host.state != "new" else "new"
+            if error.code in ("solver_failed", "aborted", "internal"):
+                self._state_is_lost(operation)
+            raise
+        except Exception:
+            self._state_is_lost(operation)
             raise
         finally:
             host.service.activity.end()
         if operation.leads_to is not None:
             host.state = operation.leads_to
         return reply
+
+    def _state_is_lost(self, operation: Operation) -> None:
+        """Note that an operation which works on the solver's state ended half way; others leave it alone."""
+        if operation.leads_to is not None:
+            self._host.state = "new" if operation.leads_to == "configured" else "failed"
 
     def _error_frames(self, error: ProtocolError, request: Envelope | None, request_id: str) -> list[Frame]:
         report: ErrorReport = error.report
@@ -287,14 +297,23 @@ def bad_field(error: ValidationError, what: str) -> ProtocolError:
     """Return a `bad_field` error that names the first problem of a validation, and counts the others."""
     problems = error.errors(include_url=False)
     first = problems[0]
-    path = ".".join(str(part) for part in first["loc"]) or what
+    # A rule between several fields is raised by the whole; it knows which field to name.
+    path = ".".join(str(part) for part in (*first["loc"], *_rule_field(first))) or what
     value = first.get("input")
-    shown = "" if isinstance(value, dict) or value is None or hasattr(value, "shape") else f" (got {_short(value)})"
+    shown = (
+        ""
+        if isinstance(value, dict | BaseModel) or value is None or hasattr(value, "shape")
+        else f" (got {_short(value)})"
+    )
     sentence = f"{what}: {path}: {first['msg']}{shown}"
     if len(problems) > 1:
-        others = sorted({".".join(str(part) for part in problem["loc"]) for problem in problems[1:]})
+        others = sorted({".".join(str(part) for part in (*p["loc"], *_rule_field(p))) for p in problems[1:]})
         sentence += f"; also wrong: {', '.join(others)}"
     return ProtocolError("bad_field", sentence, field=path)
+
+
+def _rule_field(problem: ErrorDetails) -> tuple[str, ...]:
+    return (problem["ctx"]["field"],) if problem["type"] == FIELD_RULE else ()
 
 
 def _short(value: Any) -> str:
@@ -311,10 +330,10 @@ def _readable_id(frames: list[Frame]) -> str:
 
 
 def _without_arrays(frame: Frame) -> bytes:
-    import msgpack
-
+    if memoryview(frame).nbytes > MAX_HEADER_BYTES:
+        raise ValueError("too large to look into")
     header = msgpack.unpackb(memoryview(frame), strict_map_key=True)
-    packed: bytes = msgpack.packb({**header, "arrays": []})
+    packed: bytes = msgpack.packb({**header, "body": {}, "arrays": []})
     return packed
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import traceback
 from typing import Literal, get_args
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 Code = Literal[
     "malformed_message",
@@ -49,13 +49,13 @@ class ErrorReport(BaseModel):
 
     model_config = ConfigDict(extra="ignore")
 
-    code: str
-    sentence: str
-    hint: str = ""
-    origin: str = ""
-    step: int | None = None
-    field: str = ""
-    traceback_tail: str = ""
+    code: str = Field(description="one of the codes below; stable, for programs")
+    sentence: str = Field(description="what is wrong, naming field and value, for people")
+    hint: str = Field(default="", description="what to try")
+    origin: str = Field(default="", description="role and backend that answers")
+    step: int | None = Field(default=None, description="step counter of the solver, where a solver failed")
+    field: str = Field(default="", description="path of the field at fault, such as `body.upper` or `edges.0.times`")
+    traceback_tail: str = Field(default="", description="last lines of the traceback, of `internal` only")
 
     def text(self) -> str:
         """Return one paragraph that a user can act on."""

@@ -26,10 +26,10 @@ class ArrayEntry(BaseModel):
 
     model_config = ConfigDict(extra="ignore", strict=True)
 
-    name: str
-    dtype: str
-    shape: list[NonNegativeInt] = Field(max_length=8)
-    order: str
+    name: str = Field(description="field of the message; `f.a` for entry `a` of a map of arrays `f`; no name twice")
+    dtype: str = Field(description="`<f8` (float64), `<i8` (int64) or `|u1` (byte), little-endian")
+    shape: list[NonNegativeInt] = Field(max_length=8, description="sizes, slowest axis first; a size may be 0")
+    order: str = Field(description="always `C`: the last axis is contiguous")
 
 
 class Header(BaseModel):
@@ -48,7 +48,7 @@ class Header(BaseModel):
     step: int = Field(
         default=0, ge=-(2**63), lt=2**63, description="step counter of the coordinator; a reply repeats it"
     )
-    seconds: float = Field(default=0.0, allow_inf_nan=False, description="of replies: time spent computing, s")
+    seconds: float = Field(default=0.0, allow_inf_nan=False, description="[s] of replies: time spent computing")
     body: dict[str, Any] = Field(default_factory=dict, description="fields that are not arrays")
     arrays: list[ArrayEntry] = Field(default_factory=list, max_length=256, description="table of the array frames")
 

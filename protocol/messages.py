@@ -2,31 +2,71 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
+from itertools import pairwise
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, PositiveInt, model_validator
+from numpy.typing import NDArray
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from protocol.arrays import ArrayMap, ArrayMapSpec, ArraySpec
 
+
+def _plain_integer(value: Any) -> Any:
+    """Return an integer of numpy as one of Python; the strict check that follows knows only the latter."""
+    return int(value) if isinstance(value, np.integer) else value
+
+
+# On the wire a text or a boolean is no number (strict), and every number is finite.
+Integer = Annotated[int, BeforeValidator(_plain_integer)]
+Natural = Annotated[int, BeforeValidator(_plain_integer), Field(ge=0)]
+Count = Annotated[int, BeforeValidator(_plain_integer), Field(ge=1)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Point2 = tuple[Finite, Finite]
+# msgpack has lists only, so a tuple alone is not strict about its kind.
+Point2 = Annotated[tuple[Finite, Finite], Field(strict=False)]
+VersionPair = Annotated[tuple[Natural, Natural], Field(strict=False)]
+
+
+#: Kind of a validation error that a rule between several fields raises; its context names the field.
+FIELD_RULE = "field_rule"
+
+
+def wrong(name: str, problem: str) -> PydanticCustomError:
+    """Return the error of a rule that field `name` breaks, for a validator to raise."""
+    return PydanticCustomError(FIELD_RULE, "{problem}", {"field": name, "problem": problem})
+
+
+def check_ascending(name: str, values: Sequence[float]) -> None:
+    """Raise the error of field `name` unless each value is above the one before it."""
+    for before, after in pairwise(values):
+        if not before < after:
+            raise wrong(name, f"must ascend, but {after:g} follows {before:g}")
+
+
+def check_indices(name: str, values: NDArray[np.int64], end: int | None) -> None:
+    """Raise the error of field `name` unless each value lies in 0 ... end - 1 (no upper end where None)."""
+    if len(values) and (values.min() < 0 or (end is not None and values.max() >= end)):
+        bad = values[(values < 0) | (values >= end if end is not None else False)][0]
+        raise wrong(name, f"holds {bad}, allowed is 0 to {end - 1}" if end else f"holds {bad}, allowed is 0 and above")
 
 
 class Part(BaseModel):
     """A group of fields inside a message; unknown fields (of a newer minor version) are ignored."""
 
-    model_config = ConfigDict(extra="ignore", frozen=True)
+    model_config = ConfigDict(extra="ignore", frozen=True, strict=True, allow_inf_nan=False)
 
 
 class Message(BaseModel):
     """A request or a reply. Array fields travel as frames of their own, the rest as the body."""
 
-    model_config = ConfigDict(extra="ignore", frozen=True, arbitrary_types_allowed=True)
+    model_config = ConfigDict(
+        extra="ignore", frozen=True, strict=True, allow_inf_nan=False, arbitrary_types_allowed=True
+    )
 
     @model_validator(mode="after")
     def _named_sizes_agree(self) -> Self:
@@ -40,10 +80,7 @@ class Message(BaseModel):
                     continue
                 first, expected = sizes.setdefault(size, (name, length))
                 if expected != length:
-                    raise PydanticCustomError(
-                        "array_sizes", "{name} has {length} {size}, but {first} has {expected}",
-                        {"name": name, "length": length, "size": size, "first": first, "expected": expected},
-                    )  # fmt: skip
+                    raise wrong(name, f"has {length} {size}, but {first} has {expected}")
         return self
 
     def plain_values(self) -> dict[str, Any]:
@@ -73,13 +110,13 @@ class Message(BaseModel):
             Where a field is missing or not allowed.
         """
         specs = array_fields(cls)
-        values = {name: value for name, value in body.items() if name not in specs}
+        # An array given in the body, or a plain field given as a frame, is left for the model to refuse: an
+        # optional field must not be dropped without a word because it came the wrong way.
+        values = {**body, **{name: array for name, array in arrays.items() if name in cls.model_fields}}
         for name, spec in specs.items():
             if isinstance(spec, ArrayMapSpec):
                 start = name + "."
                 values[name] = {key[len(start) :]: array for key, array in arrays.items() if key.startswith(start)}
-            elif name in arrays:
-                values[name] = arrays[name]
         return cls.model_validate(values)
 
 
@@ -105,14 +142,14 @@ class Empty(Message):
 class VersionRange(Part):
     """Oldest and newest protocol version that a side speaks."""
 
-    oldest: tuple[NonNegativeInt, NonNegativeInt]
-    newest: tuple[NonNegativeInt, NonNegativeInt]
+    oldest: VersionPair = Field(description="major, minor")
+    newest: VersionPair = Field(description="major, minor")
 
 
 class Hello(Message):
     """First message of a client: who it is, which versions it speaks, which role it wants."""
 
-    versions: VersionRange
+    versions: VersionRange = Field(description="what the client speaks")
     role: str = Field(description="role that the client wants: the service refuses another")
     client: str = Field(description="name and version of the client, for logs")
 
@@ -120,30 +157,30 @@ class Hello(Message):
 class Welcome(Message):
     """Answer to `hello`: who the service is and what it can do."""
 
-    versions: VersionRange
-    version: tuple[NonNegativeInt, NonNegativeInt] = Field(description="the version that both use from now on")
-    role: str
-    backend: str
-    backend_version: str
+    versions: VersionRange = Field(description="what the service speaks")
+    version: VersionPair = Field(description="the version that both use from now on")
+    role: str = Field(description="role of the service")
+    backend: str = Field(description="name of the solver, such as `md_service`")
+    backend_version: str = Field(description="version of the solver, in its own counting")
     capabilities: dict[str, bool | int | float | str | list[str]] = Field(description="what the backend can do")
     units: str = Field(description="always `SI`")
-    state: str
-    max_message_bytes: PositiveInt = Field(description="largest message, all frames together")
+    state: str = Field(description="state of the service, see the state table")
+    max_message_bytes: Count = Field(description="[byte] largest message, all frames together")
     control_endpoint: str = Field(description="endpoint of the control socket; empty in process")
 
 
 class Status(Message):
     """What the service does now; answered on the control socket while the solver computes."""
 
-    state: str
-    step: int = Field(description="step counter of the solver")
+    state: str = Field(description="state of the service, see the state table")
+    step: Integer = Field(description="step counter of the solver")
     operation: str = Field(description="type of the request in work, or empty")
-    done: int = Field(description="progress of that operation, in its own units")
-    total: int
+    done: Integer = Field(description="progress of that operation, in its own units")
+    total: Integer = Field(description="where `done` ends; 0 where that is not known")
     note: str = Field(description="progress in words")
-    operation_seconds: float = Field(description="time since that operation began")
-    requests: int = Field(description="requests answered since start")
-    memory_bytes: int = Field(description="resident memory of the service")
+    operation_seconds: float = Field(description="[s] time since that operation began; 0 when idle")
+    requests: Integer = Field(description="requests answered since start")
+    memory_bytes: Integer = Field(description="[byte] resident memory of the service")
 
 
 class Acknowledged(Message):
@@ -155,31 +192,37 @@ class Acknowledged(Message):
 class FieldsRequest(Message):
     """Ask for fields by name; `capabilities.fields` lists the names."""
 
-    names: list[str] = Field(min_length=1)
+    names: list[str] = Field(min_length=1, description="each one of `capabilities.fields`")
 
 
 class FieldsReply(Message):
     """One array a name; the first axis counts material points or atoms."""
 
-    step: int
-    fields: Annotated[ArrayMap, ArrayMapSpec()]
+    step: Integer = Field(description="step counter of the solver")
+    fields: Annotated[ArrayMap, ArrayMapSpec()] = Field(
+        description="frame `fields.NAME` for each name asked for; the first axis counts material points or atoms"
+    )
 
 
 class CheckpointReply(Message):
     """The whole state. A service that goes on from here and one restored from it give the same bits."""
 
-    step: int
-    state: Annotated[ArrayMap, ArrayMapSpec()]
+    step: Integer = Field(description="step counter of the solver")
+    state: Annotated[ArrayMap, ArrayMapSpec()] = Field(
+        description="frames `state.NAME`; names and contents are the backend's own"
+    )
 
 
 class RestoreRequest(Message):
     """Set the state of an equally configured and registered service."""
 
-    step: int
-    state: Annotated[ArrayMap, ArrayMapSpec()]
+    step: Natural = Field(description="`step` of the checkpoint")
+    state: Annotated[ArrayMap, ArrayMapSpec()] = Field(
+        description="the frames `state.NAME` of the checkpoint, unchanged"
+    )
 
 
 class Restored(Message):
     """The state is set."""
 
-    step: int
+    step: Integer = Field(description="step counter of the solver, equal to that of the request")

@@ -39,7 +39,7 @@ class Operation:
     allowed : frozenset of str
         States in which the service takes it.
     leads_to : str or None
-        State after it; None leaves the state as it is.
+        State after it. None: the operation does not work on the solver's state, so it cannot harm it either.
     deadline : float
         Seconds that a client waits by default.
     """
@@ -81,10 +81,10 @@ ROLES: dict[str, Role] = {
                 "hello": HELLO,
                 "configure": Operation(c.ContinuumConfigure, c.ContinuumConfigured, ANY, "configured", 120.0),
                 "register": Operation(c.ContinuumRegister, c.ContinuumRegistered, CONFIGURED, "ready", 120.0),
-                "advance": Operation(c.ContinuumAdvance, c.ContinuumAdvanced, READY, None, 600.0),
+                "advance": Operation(c.ContinuumAdvance, c.ContinuumAdvanced, CONFIGURED, "ready", 600.0),
                 "fields": Operation(FieldsRequest, FieldsReply, CONFIGURED),
-                "checkpoint": Operation(Empty, CheckpointReply, READY),
-                "restore": Operation(RestoreRequest, Restored, READY, "ready"),
+                "checkpoint": Operation(Empty, CheckpointReply, CONFIGURED, "ready", 120.0),
+                "restore": Operation(RestoreRequest, Restored, CONFIGURED, "ready", 120.0),
                 "status": Operation(Empty, Status, ANY, deadline=5.0),
                 "shutdown": SHUTDOWN,
             },
@@ -98,9 +98,9 @@ ROLES: dict[str, Role] = {
                 "configure": Operation(a.AtomisticConfigure, a.AtomisticConfigured, ANY, "configured", 120.0),
                 "register": Operation(a.AtomisticRegister, a.AtomisticRegistered, CONFIGURED, "registered", 120.0),
                 "equilibrate": Operation(a.EquilibrateRequest, a.Equilibrated, REGISTERED, "ready", 3600.0),
-                "advance": Operation(a.AtomisticAdvance, a.AtomisticAdvanced, READY, None, 3600.0),
+                "advance": Operation(a.AtomisticAdvance, a.AtomisticAdvanced, READY, "ready", 3600.0),
                 "fields": Operation(FieldsRequest, FieldsReply, CONFIGURED),
-                "checkpoint": Operation(Empty, CheckpointReply, READY, deadline=120.0),
+                "checkpoint": Operation(Empty, CheckpointReply, READY, "ready", 120.0),
                 "restore": Operation(RestoreRequest, Restored, REGISTERED, "ready", 120.0),
                 "status": Operation(Empty, Status, ANY, deadline=5.0),
                 "shutdown": SHUTDOWN,

@@ -153,11 +153,13 @@ def _answer_until(socket: zmq.Socket[bytes], dispatcher: Dispatcher, done: Calla
         if not socket.poll(POLL_MS):
             continue
         identity, *frames = socket.recv_multipart(copy=False)
-        # A DEALER may or may not put an empty delimiter first, as REQ does; both are understood.
-        if frames and len(frames[0]) == 0 and len(frames) > 1:
+        # A DEALER may or may not put an empty delimiter first, as REQ does; its reply then has one too.
+        envelope = [identity.bytes]
+        if len(frames) > 1 and len(frames[0]) == 0:
             frames = frames[1:]
+            envelope.append(b"")
         answer = dispatcher.handle([frame.buffer for frame in frames])
-        socket.send_multipart([identity.bytes, *answer], copy=False)
+        socket.send_multipart([*envelope, *answer], copy=False)
 
 
 def _control_address(endpoint: str) -> str:

@@ -1,0 +1,425 @@
+"""The M:1 coupling of one continuum and one atomistic service.
+
+One step::
+
+    continuum   advances one step Dt = M dt under the last reaction forces
+        |       anchor displacements and velocities (interpolated from the grid)
+        v
+    atomistic   sets its anchors there, holds them, integrates M steps
+        |       averaged reaction forces minus the reference (Eq 87), with their standard error
+        v
+    continuum   next step
+
+Nothing filters the forces on their way: any delay in this loop feeds energy in. A scene without atoms is
+the same loop without the exchange.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from coordinator.handshake import Handshake, choose
+from coordinator.interface import Interface, build_interface
+from coordinator.scene import Corners, Scene
+from protocol import atomistic as a
+from protocol import continuum as c
+from protocol.arrays import FloatArray
+from protocol.client import Client
+from protocol.continuum import Rectangle
+from protocol.messages import CheckpointReply, FieldsReply, FieldsRequest, Restored, RestoreRequest
+
+#: Windows of the reference average at least, so that its standard error can be estimated.
+FEWEST_WINDOWS = 8
+
+
+@dataclass(frozen=True)
+class StepRecord:
+    """What one coupling step gave.
+
+    Attributes
+    ----------
+    values : dict of str to float
+        Time series, named and in units as in `coordinator.results`.
+    ivc_force, ivc_error : float64 array, shape (ivcs, 3), or None
+        Averaged reaction on the continuum and its standard error, N.
+    warnings : list of str
+        Of the atomistic service.
+    """
+
+    values: dict[str, float]
+    ivc_force: FloatArray | None = None
+    ivc_error: FloatArray | None = None
+    warnings: list[str] = field(default_factory=list)
+
+
+class Coupling:
+    """Drives the services of one scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    continuum : Client
+    atomistic : Client or None
+        None for a scene without atoms.
+    properties : Properties, optional
+        Constants measured before (of a run that is resumed); measured anew without.
+    tell : callable, optional
+        Told in words what is being prepared.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        continuum: Client,
+        atomistic: Client | None,
+        properties: a.Properties | None = None,
+        tell: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self.scene = scene
+        self.step = 0
+        self.properties = properties
+        self.interface: Interface | None = None
+        self.handshake: Handshake | None = None
+        self.equilibrated: a.Equilibrated | None = None
+        self.warnings: list[str] = []
+        self.atom_id = np.zeros(0, dtype=np.int64)
+        self.atom_mass = np.zeros(0)
+        self.atom_position = np.zeros((0, 3))
+        self._continuum = continuum
+        self._atomistic = atomistic
+        self._tell = tell
+        self._reaction: FloatArray | None = None
+        self._start_energy: float | None = None
+        self._start_tip: float | None = None
+
+    # --- preparation -------------------------------------------------------------------------------------
+
+    def configure(self) -> None:
+        """Measure constants, build both models, place anchors and cells; nothing has moved yet."""
+        if self._atomistic is not None and self.properties is None and self.scene.continuum.material is None:
+            self._measure_properties()
+        if self._atomistic is not None:
+            self._configure_atoms(self._atomistic)
+        self._configure_continuum()
+        if self.interface is not None and self._atomistic is not None:
+            self._register(self._atomistic, self.interface)
+
+    def equilibrate(self) -> None:
+        """Bring the atoms to temperature and measure the reference forces, anchors at rest."""
+        if self._atomistic is None or self.scene.atomistic is None or self.scene.handshake is None:
+            return
+        atomistic = self.scene.atomistic
+        window = self.scene.handshake.steps_per_exchange
+        self._tell("equilibrate atoms, measure reference forces")
+        self.equilibrated = self._atomistic.call(
+            "equilibrate",
+            a.EquilibrateRequest(
+                steps=round(atomistic.equilibration / atomistic.time_step),
+                windows=max(FEWEST_WINDOWS, round(atomistic.reference / (window * atomistic.time_step))),
+                window_steps=window,
+            ),
+            a.Equilibrated,
+        )
+
+    def _measure_properties(self) -> None:
+        assert self._atomistic is not None and self.scene.atomistic is not None
+        atomistic = self.scene.atomistic
+        self._tell(f"measure {atomistic.material} constants at {atomistic.temperature:g} K")
+        self.properties = self._atomistic.call(
+            "properties",
+            a.PropertiesRequest(
+                force_field=atomistic.force_field, material=atomistic.material, temperature=atomistic.temperature,
+                seed=self.scene.run.seed,
+            ),
+            a.Properties,
+        )  # fmt: skip
+
+    def _configure_atoms(self, client: Client) -> None:
+        scene = self.scene
+        assert scene.atomistic is not None and scene.handshake is not None
+        self._tell("build atoms")
+        built = client.call(
+            "configure",
+            a.AtomisticConfigure(
+                force_field=scene.atomistic.force_field,
+                sample=a.Sample(
+                    material=scene.atomistic.material,
+                    width=scene.atomistic.width,
+                    height=scene.atomistic.height,
+                    lattice_constant=self.properties.lattice_constant if self.properties else None,
+                    crack=a.CrackCut(tip_x=scene.crack.tip_x, y=scene.crack.y) if scene.crack else None,
+                ),
+                temperature=scene.atomistic.temperature,
+                time_step=scene.atomistic.time_step,
+                seed=scene.run.seed,
+            ),
+            a.AtomisticConfigured,
+        )
+        self.atom_id, self.atom_mass, self.atom_position = built.atom_id, built.atom_mass, built.position
+        self.warnings += built.warnings
+        material = self.material
+        self.handshake = choose(
+            material.young,
+            material.density,
+            scene.handshake.width,
+            scene.time_step,
+            weight=scene.handshake.weight,
+            stiffness_density=self._given_stiffness_density(built.atom_mass),
+        )
+        extent = built.position[:, :2].max(axis=0) - built.position[:, :2].min(axis=0)
+        corners = scene.overlap(float(extent[0]), float(extent[1]))
+        assert corners is not None
+        self.interface = build_interface(
+            built.position,
+            _rectangle(corners[0]),
+            _rectangle(corners[1]),
+            self.handshake.weight,
+            scene.handshake.ivc_size,
+            scene.crack.y if scene.crack else None,
+        )
+        self._anchor_stiffness = np.full(
+            len(self.interface.anchor), self.handshake.stiffness_density * self._volume_per_atom(built.atom_mass)
+        )
+
+    def _volume_per_atom(self, mass: FloatArray) -> float:
+        return float(mass.mean()) / self.material.density
+
+    def _given_stiffness_density(self, mass: FloatArray) -> float | None:
+        """Return the scene's stiffness per anchor as stiffness per volume: every atom of the overlap is anchored."""
+        given = self.scene.handshake.stiffness if self.scene.handshake else None
+        return None if given is None else given / self._volume_per_atom(mass)
+
+    @property
+    def material(self) -> c.IsotropicMaterial:
+        """Constants of the continuum: the scene's, or those measured for the potential."""
+        source = self.scene.continuum.material or self.properties
+        assert source is not None  # held by the scene's checks
+        return c.IsotropicMaterial(young=source.young, poisson=source.poisson, density=source.density)
+
+    @property
+    def thickness(self) -> float:
+        """Thickness of the continuum, m."""
+        source = self.scene.continuum.material or self.properties
+        assert source is not None
+        return source.thickness
+
+    def _configure_continuum(self) -> None:
+        scene = self.scene.continuum
+        crack = self.scene.crack
+        self._tell("build continuum")
+        cracks = []
+        if crack is not None:
+            # It starts outside the body so that the left edge is cut through; inside the atoms it is theirs.
+            start = (scene.lower[0] - scene.cell_size, crack.y)
+            cracks = [c.CrackLine(points=[start, (crack.tip_x, crack.y)])]
+        self.configured = self._continuum.call(
+            "configure",
+            c.ContinuumConfigure(
+                assumption=scene.assumption,
+                thickness=self.thickness,
+                body=Rectangle(lower=scene.lower, upper=scene.upper),
+                cell_size=scene.cell_size,
+                points_per_cell=scene.points_per_cell,
+                material=self.material,
+                overlap=self.interface.overlap if self.interface else None,
+                cracks=cracks,
+                edges=[
+                    c.EdgeCondition.model_validate(
+                        {
+                            "edge": edge.edge,
+                            "component": edge.axis,
+                            "times": edge.times,
+                            "displacements": edge.displacements,
+                        }
+                    )
+                    for edge in scene.edges
+                ],
+                initial_velocity_gradient=scene.initial_velocity_gradient(),
+                damping_rate=scene.damping_rate,
+                time_step=self.scene.time_step,
+            ),
+            c.ContinuumConfigured,
+        )
+
+    def _register(self, atomistic: Client, interface: Interface) -> None:
+        handshake = self.scene.handshake
+        assert handshake is not None
+        self._tell("place anchors and interface volume cells")
+        self.anchor_reference = np.ascontiguousarray(self.atom_position[interface.anchor])
+        self._continuum.call(
+            "register",
+            c.ContinuumRegister(
+                anchor_position=self.anchor_reference,
+                anchor_ivc=interface.anchor_ivc,
+                ivc_lower=interface.ivc_lower,
+                ivc_upper=interface.ivc_upper,
+            ),
+            c.ContinuumRegistered,
+        )
+        atomistic.call(
+            "register",
+            a.AtomisticRegister(
+                atom_id=self.atom_id[interface.anchor],
+                anchor_position=self.anchor_reference,
+                anchor_ivc=interface.anchor_ivc,
+                stiffness=self._anchor_stiffness,
+                damping_time=handshake.damping_time,
+            ),
+            a.AtomisticRegistered,
+        )
+
+    # --- one step ----------------------------------------------------------------------------------------
+
+    def advance(self) -> StepRecord:
+        """Make one coupling step."""
+        by_ivc = self.scene.handshake is not None and self.scene.handshake.spread == "ivc"
+        continuum = self._continuum.call(
+            "advance",
+            c.ContinuumAdvance(
+                steps=1,
+                ivc_force=self._reaction if by_ivc else None,
+                anchor_force=None if by_ivc else self._reaction,
+            ),
+            c.ContinuumAdvanced,
+            step=self.step + 1,
+        )
+        values = {
+            "continuum_kinetic": continuum.kinetic_energy,
+            "continuum_strain": continuum.strain_energy,
+            "continuum_edge_work": continuum.edge_work,
+            "continuum_interface_work": continuum.interface_work,
+            "continuum_damping_loss": continuum.damping_loss,
+            "points_lost": float(continuum.points_lost),
+            "courant": self.configured.courant_number,
+            **self._load(continuum),
+        }
+        self.step += 1
+        if self._atomistic is None or self.interface is None or self.scene.handshake is None:
+            return StepRecord(values)
+        atoms = self._atomistic.call(
+            "advance",
+            a.AtomisticAdvance(
+                steps=self.scene.handshake.steps_per_exchange,
+                anchor_position=self.anchor_reference + continuum.anchor_displacement,
+                anchor_velocity=continuum.anchor_velocity,
+            ),
+            a.AtomisticAdvanced,
+            step=self.step,
+        )
+        self._reaction = atoms.ivc_force if by_ivc else atoms.anchor_force
+        values.update(self._exchange(atoms))
+        return StepRecord(values, atoms.ivc_force, atoms.ivc_standard_error, atoms.warnings)
+
+    def _load(self, continuum: c.ContinuumAdvanced) -> dict[str, float]:
+        """Return load measures of the first edge that pulls the body apart along y."""
+        scene = self.scene.continuum
+        found: dict[str, float] = {}
+        moved = {
+            (edge.edge, edge.axis): (continuum.edge_displacement[k], continuum.edge_force[k])
+            for k, edge in enumerate(scene.edges)
+        }
+        top, bottom = moved.get(("top", 1)), moved.get(("bottom", 1))
+        if top is None or bottom is None:
+            return found
+        height = scene.upper[1] - scene.lower[1]
+        strain = float(top[0] - bottom[0]) / height
+        found["applied_strain"] = strain
+        found["edge_force"] = float(top[1])
+        if self.scene.crack is not None:
+            # Strip of clamped edges, long crack (Rivlin and Thomas 1953): what is released is the energy
+            # density far ahead of the tip, times the height.
+            found["j_boundary"] = 0.5 * self._clamped_modulus() * strain**2 * height
+        return found
+
+    def _clamped_modulus(self) -> float:
+        """Return stress over strain along y with no strain along x, Pa."""
+        material = self.material
+        nu = material.poisson
+        if self.scene.continuum.assumption == "plane_stress":
+            return material.young / (1 - nu**2)
+        return material.young * (1 - nu) / ((1 + nu) * (1 - 2 * nu))
+
+    def _exchange(self, atoms: a.AtomisticAdvanced) -> dict[str, float]:
+        """Return balances and atomistic measures of a step."""
+        if self._start_energy is None:
+            self._start_energy = atoms.potential_energy
+        scale = np.abs(atoms.anchor_force).sum()
+        imbalance = np.abs(atoms.ivc_force.sum(axis=0) - atoms.anchor_force.sum(axis=0)).max()
+        values = {
+            "atomistic_potential": atoms.potential_energy - self._start_energy,
+            "atomistic_kinetic": atoms.kinetic_energy,
+            "spring_energy": atoms.spring_energy,
+            "anchor_work": atoms.anchor_work,
+            "temperature": atoms.temperature,
+            "handshake_temperature": atoms.handshake_temperature,
+            "force_sum_x": float(atoms.ivc_force[:, 0].sum()),
+            "force_sum_y": float(atoms.ivc_force[:, 1].sum()),
+            "force_balance": float(imbalance / scale) if scale > 0 else 0.0,
+            "ivc_force_rms": _rms(atoms.ivc_force[:, :2]),
+            "ivc_error_rms": _rms(atoms.ivc_standard_error[:, :2]),
+            "broken_bonds": float(atoms.broken_bonds),
+            "longest_bond": atoms.longest_bond,
+        }
+        if atoms.crack_tip is not None:
+            values["crack_tip"] = atoms.crack_tip
+            if self._start_tip is None:
+                self._start_tip = atoms.crack_tip
+        return values
+
+    def crack_growth(self, record: StepRecord) -> float:
+        """Return how far the atoms' crack tip has moved since the start, m."""
+        if self._start_tip is None or "crack_tip" not in record.values:
+            return 0.0
+        return record.values["crack_tip"] - self._start_tip
+
+    # --- fields and state --------------------------------------------------------------------------------
+
+    def point_fields(self) -> dict[str, np.ndarray]:
+        """Return fields of the material points."""
+        names = ["position", "displacement", "velocity", "stress", "weight"]
+        return self._continuum.call("fields", FieldsRequest(names=names), FieldsReply).fields
+
+    def atom_fields(self) -> dict[str, np.ndarray]:
+        """Return fields of the atoms; empty for a scene without."""
+        if self._atomistic is None:
+            return {}
+        return self._atomistic.call("fields", FieldsRequest(names=["position", "velocity"]), FieldsReply).fields
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return the state of both services and of the loop, as flat named arrays."""
+        found = {
+            f"continuum.{name}": array
+            for name, array in self._continuum.call("checkpoint", None, CheckpointReply, step=self.step).state.items()
+        }
+        if self._atomistic is not None:
+            atoms = self._atomistic.call("checkpoint", None, CheckpointReply, step=self.step)
+            found.update({f"atomistic.{name}": array for name, array in atoms.state.items()})
+        found["coupling.step"] = np.array([self.step])
+        if self._reaction is not None:
+            found["coupling.reaction"] = self._reaction
+        start = (self._start_energy, self._start_tip)
+        found["coupling.start"] = np.array([np.nan if value is None else value for value in start])
+        return found
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Set a state that `state` gave; both models are configured and registered before."""
+        self.step = int(state["coupling.step"][0])
+        self._reaction = state.get("coupling.reaction")
+        energy, tip = (None if np.isnan(value) else float(value) for value in state["coupling.start"])
+        self._start_energy, self._start_tip = energy, tip
+        for role, client in (("continuum", self._continuum), ("atomistic", self._atomistic)):
+            if client is None:
+                continue
+            own = {name.split(".", 1)[1]: array for name, array in state.items() if name.startswith(role + ".")}
+            client.call("restore", RestoreRequest(step=self.step, state=own), Restored, step=self.step)
+
+
+def _rectangle(corners: Corners) -> Rectangle:
+    return Rectangle(lower=corners[0], upper=corners[1])
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))

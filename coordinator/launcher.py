@@ -1,0 +1,187 @@
+"""Starts services as processes of their own, watches them, names the one that failed, stops the rest."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import psutil
+
+from protocol.backend import find
+from protocol.client import Client
+from protocol.errors import ConnectionProblem, ProtocolError
+from protocol.messages import Acknowledged
+
+#: The path of a Unix socket may have 107 characters; libzmq adds none.
+LONGEST_SOCKET_PATH = 100
+LOG_LINES = 12
+READY_SECONDS = 120.0
+STOP_SECONDS = 2.0
+#: Threads of numerical libraries in a service: two solvers and their libraries share few cores.
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+class ServiceDied(Exception):
+    """A service's process ended while it was needed."""
+
+
+@dataclass
+class ServiceProcess:
+    """A started service.
+
+    Attributes
+    ----------
+    role, backend : str
+    folder : Path
+        Its working folder, with `log.txt` and, where the path is short enough, its socket.
+    endpoint : str
+    process : subprocess.Popen
+    """
+
+    role: str
+    backend: str
+    folder: Path
+    endpoint: str
+    process: subprocess.Popen[bytes]
+
+    @property
+    def log_path(self) -> Path:
+        """File with what the service printed."""
+        return self.folder / "log.txt"
+
+    def check(self) -> None:
+        """Raise where the process has ended.
+
+        Raises
+        ------
+        ServiceDied
+            Names the service, its exit code or signal, and the last lines of its log.
+        """
+        code = self.process.poll()
+        if code is None:
+            return
+        how = f"was killed by signal {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+        raise ServiceDied(f"the {self.role} service ({self.backend}) {how}\n{self.last_lines()}")
+
+    def last_lines(self) -> str:
+        """Return the last lines of the log, indented."""
+        try:
+            lines = self.log_path.read_text(errors="replace").splitlines()[-LOG_LINES:]
+        except OSError:
+            lines = []
+        shown = "\n".join(f"    {line}" for line in lines) or "    (empty)"
+        return f"  last lines of {self.log_path}:\n{shown}"
+
+    def stop(self, client: Client | None) -> None:
+        """End the process: ask, then terminate, then kill it with all its children."""
+        tree = _tree(self.process.pid)
+        if client is not None and self.process.poll() is None:
+            with contextlib.suppress(ConnectionProblem, ProtocolError):
+                client.control.call("shutdown", None, Acknowledged, deadline=1.0)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.process.wait(STOP_SECONDS)
+        for ask in (psutil.Process.terminate, psutil.Process.kill):
+            alive = [one for one in tree if one.is_running()]
+            for one in alive:
+                with contextlib.suppress(psutil.NoSuchProcess):
+                    ask(one)
+            if not alive:
+                break
+            psutil.wait_procs(alive, timeout=STOP_SECONDS / 2)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self.process.wait(STOP_SECONDS)
+
+
+class Services:
+    """The services of one run, by role.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the run; each service gets `folder/services/ROLE`.
+    run : str
+        Id of the run.
+    """
+
+    def __init__(self, folder: Path, run: str) -> None:
+        self._folder = folder
+        self._run = run
+        self._sockets: list[tempfile.TemporaryDirectory[str]] = []
+        self.processes: dict[str, ServiceProcess] = {}
+        self.clients: dict[str, Client] = {}
+
+    def start(self, role: str, backend: str, ranks: int = 1) -> None:
+        """Start a service; `connect` waits until it is ready."""
+        folder = self._folder / "services" / role
+        folder.mkdir(parents=True, exist_ok=True)
+        endpoint = f"ipc://{self._socket_path(folder)}"
+        command = [
+            *find(role, backend).launch_words(ranks),
+            *(sys.executable, "-m", "coordinator.cli", "serve", role, "--backend", backend),
+            *("--bind", endpoint, "--folder", str(folder), "--parent", str(os.getpid())),
+        ]  # fmt: skip
+        environment = {**os.environ, **{name: "1" for name in THREAD_VARIABLES}}
+        with (folder / "log.txt").open("ab") as log:
+            # A session of its own keeps Ctrl-C away from the services: the coordinator stops them in order.
+            process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, start_new_session=True,
+                env=environment,
+            )  # fmt: skip
+        self.processes[role] = ServiceProcess(role, backend, folder, endpoint, process)
+
+    def connect(self, role: str) -> Client:
+        """Wait until a started service answers `hello`.
+
+        Raises
+        ------
+        ServiceDied, ConnectionProblem, ProtocolError
+        """
+        started = self.processes[role]
+        client = Client.connect(started.endpoint, role, run=self._run, watch=self.check, deadline=READY_SECONDS)
+        self.clients[role] = client
+        return client
+
+    def attach(self, role: str, endpoint: str, keys: Path | None) -> Client:
+        """Use a service that runs already, here or on another machine; it is not stopped with the run."""
+        client = Client.connect(endpoint, role, keys=keys, run=self._run, watch=self.check)
+        self.clients[role] = client
+        return client
+
+    def check(self) -> None:
+        """Raise `ServiceDied` where any started service has ended."""
+        for process in self.processes.values():
+            process.check()
+
+    def stop(self) -> None:
+        """Stop every service that this run started, and let go of the others."""
+        for role, process in self.processes.items():
+            process.stop(self.clients.get(role))
+        for client in self.clients.values():
+            client.close()
+        for socket in self._sockets:
+            socket.cleanup()
+        self.processes, self.clients, self._sockets = {}, {}, []
+
+    def _socket_path(self, folder: Path) -> Path:
+        path = folder.resolve() / "socket"
+        if len(str(path)) + len(".control") <= LONGEST_SOCKET_PATH:
+            path.unlink(missing_ok=True)
+            return path
+        short = tempfile.TemporaryDirectory(prefix="scalebridge-")
+        self._sockets.append(short)
+        return Path(short.name) / "socket"
+
+
+def _tree(pid: int) -> list[psutil.Process]:
+    """Return a process and all its descendants, the descendants first."""
+    try:
+        top = psutil.Process(pid)
+        return [*top.children(recursive=True), top]
+    except psutil.NoSuchProcess:
+        return []

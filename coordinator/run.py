@@ -1,0 +1,364 @@
+"""One run of a scene, from its file to its report: the command `run`."""
+
+from __future__ import annotations
+
+import contextlib
+import shlex
+import time
+import uuid
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from coordinator.checkpoint import CheckpointError, read_checkpoint, write_checkpoint
+from coordinator.coupling import Coupling, StepRecord
+from coordinator.interruption import Interrupted, Interruption
+from coordinator.launcher import ServiceDied, Services
+from coordinator.output import RunOutput
+from coordinator.scene import Scene, load_scene
+from coordinator.summary import Status as SummaryStatus
+from protocol.atomistic import Properties
+from protocol.client import Client
+from protocol.errors import ConnectionProblem, ProtocolError
+from protocol.messages import Acknowledged, Status
+
+#: Exit status after Ctrl-C, as shells have it.
+INTERRUPTED_STATUS = 130
+#: Seconds between two looks at the progress of a long operation.
+STATUS_EVERY = 0.5
+
+
+class RunError(Exception):
+    """The run cannot start, or what it was asked for contradicts what is in its folder."""
+
+
+def run_scene(
+    scene_path: Path,
+    folder: Path,
+    *,
+    resume: bool = False,
+    overrides: Sequence[str] = (),
+    attached: dict[str, str] | None = None,
+    keys: Path | None = None,
+    console: Console | None = None,
+) -> int:
+    """Run a scene and return the exit status.
+
+    Parameters
+    ----------
+    scene_path, folder : Path
+        Scene file, and folder of the run.
+    resume : bool
+        Go on from the last checkpoint in the folder, or start anew where there is none yet.
+    overrides : sequence of str
+        ``key=value`` changes of the scene.
+    attached : dict of str to str
+        Endpoints of services that run already, by role.
+    keys : Path, optional
+        Folder with keys for attached services.
+
+    Raises
+    ------
+    SceneError, RunError, CheckpointError
+        Before anything has started.
+    """
+    scene = load_scene(scene_path, overrides)
+    words = ["scalebridge", "run", str(scene_path), "--out", str(folder)]
+    for override in overrides:
+        words += ["--set", override]
+    run = Run(scene, folder, attached or {}, keys, console or Console(stderr=True), shlex.join(words))
+    if resume:
+        run.load_checkpoint()
+    else:
+        set_aside(folder)
+    return run.execute()
+
+
+def set_aside(folder: Path) -> None:
+    """Rename the folder of an earlier run to the first free `NAME-1`, `NAME-2`, ...: nothing is lost."""
+    if not folder.exists() or not any(folder.iterdir()):
+        return
+    number = 1
+    while (kept := folder.with_name(f"{folder.name}-{number}")).exists():
+        number += 1
+    folder.rename(kept)
+
+
+class Run:
+    """One run of a scene in a folder."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        folder: Path,
+        attached: dict[str, str],
+        keys: Path | None,
+        console: Console,
+        command: str,
+    ) -> None:
+        unknown = set(attached) - {"continuum", "atomistic"}
+        if unknown:
+            raise RunError(f"--attach {unknown.pop()}: this scene has the roles continuum and atomistic")
+        self.scene = scene
+        self.folder = folder
+        self._attached = attached
+        self._keys = keys
+        self._console = console
+        self._command = command
+        self._checkpoint: tuple[dict[str, Any], dict[str, Any]] | None = None
+        self._state_step = -1
+
+    def load_checkpoint(self) -> None:
+        """Read the checkpoint of the folder and hold it against the scene.
+
+        Raises
+        ------
+        RunError
+            Where the scene differs from the one that the checkpoint was made with.
+        CheckpointError
+            Where the file is damaged.
+        """
+        try:
+            header, state = read_checkpoint(self.folder)
+        except CheckpointError as error:
+            if (self.folder / "checkpoint.npz").exists():
+                raise
+            self._console.print(f"{error}: the run starts anew")
+            return
+        changed = _differences(header["scene"], self.scene.model_dump(mode="json"))
+        changed -= {"run.steps", "run.stop_after_crack_growth"}
+        if changed:
+            raise RunError(
+                f"the scene differs from that of the checkpoint in {', '.join(sorted(changed))}; only run.steps and "
+                "run.stop_after_crack_growth may change on --resume"
+            )
+        self._checkpoint = header, state
+
+    def execute(self) -> int:
+        """Run to the end, to the first failure, or to Ctrl-C; return the exit status."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        run_id = uuid.uuid4().hex[:12]
+        resumed_at = self._checkpoint[0]["step"] if self._checkpoint else None
+        output = RunOutput(self.folder, self.scene, resumed_at, self._command)
+        resume_command = self._command + " --resume"
+        services = Services(self.folder, run_id)
+        began = time.perf_counter()
+        status: SummaryStatus = "finished"
+        sentence, code = "", 0
+        with Interruption() as interruption:
+            try:
+                self._run(services, output, interruption)
+            except Interrupted:
+                status, code = "interrupted", INTERRUPTED_STATUS
+                sentence = f"stopped; go on with: {resume_command}"
+            except (ServiceDied, ConnectionProblem, ProtocolError) as error:
+                status, code = "failed", 1
+                sentence = f"failed at step {output.step}: {_guilty(error, services)}"
+                if self._state_step >= 0:
+                    sentence += f"\nresults up to step {output.step} are in {self.folder}; go on with: {resume_command}"
+            finally:
+                timing = {role: client.timing for role, client in services.clients.items()}
+                services.stop()
+                output.close(status, sentence, time.perf_counter() - began, timing)
+        if sentence:
+            self._console.print(sentence, style="bold" if code == INTERRUPTED_STATUS else "bold red", markup=False)
+        if status != "interrupted":
+            report = output.write_report()
+            if report is not None:
+                self._console.print(f"report: {report}", markup=False, soft_wrap=True)
+        return code
+
+    # --- the run itself ----------------------------------------------------------------------------------
+
+    def _run(self, services: Services, output: RunOutput, interruption: Interruption) -> None:
+        with _progress(self._console) as progress:
+            task = progress.add_task("start services", total=None)
+
+            def tell(text: str) -> None:
+                progress.update(task, description=text, total=None, completed=0)
+
+            coupling = self._prepare(services, output, interruption, progress, task, tell)
+            progress.reset(task, description="coupled run", total=self.scene.run.steps, completed=coupling.step)
+            self._loop(coupling, services, output, interruption, lambda text: progress.update(
+                task, completed=coupling.step, description=text))  # fmt: skip
+
+    def _prepare(
+        self,
+        services: Services,
+        output: RunOutput,
+        interruption: Interruption,
+        progress: Progress,
+        task: Any,
+        tell: Callable[[str], None],
+    ) -> Coupling:
+        """Start and connect services, build both models, equilibrate or restore."""
+        self._start(services, interruption)
+        watch = _Watch(services, interruption, lambda done, total: progress.update(task, total=total, completed=done))
+        clients = services.clients
+        for role, client in clients.items():
+            client.watch_with(lambda role=role: watch(role))  # type: ignore[misc]
+        header = self._checkpoint[0] if self._checkpoint else None
+        coupling = Coupling(
+            self.scene, clients["continuum"], clients.get("atomistic"),
+            Properties.model_validate(header["properties"]) if header and header["properties"] else None, tell,
+        )  # fmt: skip
+        watch.abortable = True
+        try:
+            coupling.configure()
+            if self._checkpoint is None:
+                coupling.equilibrate()
+        except ProtocolError as error:
+            if error.code == "aborted" and interruption.wanted:
+                raise Interrupted from None
+            raise
+        watch.abortable = False
+        if interruption.wanted:
+            raise Interrupted
+        output.begin(coupling)
+        if self._checkpoint is not None:
+            coupling.restore(self._checkpoint[1])
+            self._state_step = coupling.step
+        else:
+            output.frames(coupling)
+            self._save(coupling, output)
+        return coupling
+
+    def _start(self, services: Services, interruption: Interruption) -> None:
+        """Start what the scene needs and is not attached; wait until each answers."""
+        scene = self.scene
+        wanted = {"continuum": (scene.continuum.backend, 1)}
+        if scene.atomistic is not None:
+            wanted["atomistic"] = (scene.atomistic.backend, scene.atomistic.ranks)
+        for role, (backend, ranks) in wanted.items():
+            if role not in self._attached:
+                services.start(role, backend, ranks)
+        for role in wanted:
+            if interruption.wanted:
+                raise Interrupted
+            if role in self._attached:
+                services.attach(role, self._attached[role], self._keys)
+            else:
+                services.connect(role)
+
+    def _loop(
+        self,
+        coupling: Coupling,
+        services: Services,
+        output: RunOutput,
+        interruption: Interruption,
+        show: Callable[[str], None],
+    ) -> None:
+        scene = self.scene
+        while coupling.step < scene.run.steps:
+            began = time.perf_counter()
+            before = _computing(services)
+            record = coupling.advance()
+            computed = {role: seconds - before[role] for role, seconds in _computing(services).items()}
+            output.row(coupling, record, computed, time.perf_counter() - began)
+            grown = coupling.crack_growth(record)
+            stop_after = scene.run.stop_after_crack_growth
+            ended = stop_after is not None and grown >= stop_after
+            if coupling.step % scene.run.output_every == 0 or ended:
+                output.frames(coupling)
+            if ended:
+                output.note(f"the crack grew by {grown * 1e10:.1f} angstrom")
+                break
+            if coupling.step % 10 == 0 or coupling.step == scene.run.steps:
+                show(_progress_text(coupling, record, scene))
+            if interruption.wanted:
+                self._save(coupling, output)
+                raise Interrupted
+            if coupling.step % scene.run.checkpoint_every == 0:
+                self._save(coupling, output)
+        if self._state_step != coupling.step:
+            self._save(coupling, output)
+
+    def _save(self, coupling: Coupling, output: RunOutput) -> None:
+        """Commit results, then the checkpoint: a kill between the two leaves results that resume cuts back."""
+        state = coupling.state()
+        output.flush()
+        header = {
+            "step": coupling.step,
+            "scene": self.scene.model_dump(mode="json"),
+            "properties": coupling.properties.model_dump() if coupling.properties else None,
+        }
+        write_checkpoint(self.folder, header, state)
+        self._state_step = coupling.step
+
+
+class _Watch:
+    """Called while a client waits: looks at the processes, at Ctrl-C, and at the progress of long operations."""
+
+    def __init__(self, services: Services, interruption: Interruption, show: Callable[[float, float], None]) -> None:
+        self.abortable = False
+        self._services = services
+        self._interruption = interruption
+        self._show = show
+        self._last = time.monotonic()
+        self._asked = False
+
+    def __call__(self, role: str) -> None:
+        self._services.check()
+        now = time.monotonic()
+        if not self.abortable or now - self._last < STATUS_EVERY:
+            return
+        self._last = now
+        control: Client = self._services.clients[role].control
+        with contextlib.suppress(ConnectionProblem):
+            if self._interruption.wanted and not self._asked:
+                self._asked = True
+                control.call("abort", None, Acknowledged)
+            status = control.call("status", None, Status, deadline=1.0)
+            if status.total:
+                self._show(status.done, status.total)
+
+
+def _computing(services: Services) -> dict[str, float]:
+    return {role: client.timing.computing for role, client in services.clients.items()}
+
+
+def _guilty(error: Exception, services: Services) -> str:
+    """Return the failure in words; a dead process is named before the error that its end caused elsewhere."""
+    if isinstance(error, ConnectionProblem):
+        # The link breaks a moment before the process can be seen as ended.
+        for _ in range(20):
+            try:
+                services.check()
+            except ServiceDied as died:
+                return str(died)
+            time.sleep(0.05)
+    if isinstance(error, ProtocolError) and error.report.traceback_tail:
+        return f"{error}\n{error.report.traceback_tail}"
+    return str(error)
+
+
+def _differences(one: Any, other: Any, path: str = "") -> set[str]:
+    """Return the paths at which two trees of plain values differ."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        found: set[str] = set()
+        for key in one.keys() | other.keys():
+            found |= _differences(one.get(key), other.get(key), f"{path}.{key}" if path else key)
+        return found
+    return set() if one == other else {path}
+
+
+def _progress(console: Console) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"), BarColumn(bar_width=24), TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(), console=console,
+    )  # fmt: skip
+
+
+def _progress_text(coupling: Coupling, record: StepRecord, scene: Scene) -> str:
+    values = record.values
+    parts = [f"step {coupling.step}", f"{coupling.step * scene.time_step * 1e12:.2f} ps"]
+    if "applied_strain" in values:
+        parts.append(f"strain {values['applied_strain'] * 100:.2f} %")
+    if "temperature" in values:
+        parts.append(f"{values['temperature']:.0f} K")
+    if "crack_tip" in values:
+        parts.append(f"tip +{coupling.crack_growth(record) * 1e10:.0f} A")
+    return ", ".join(parts)

@@ -1,0 +1,356 @@
+"""Read scene files: TOML with units, overrides from the command line, every mistake reported at once."""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
+
+from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic.fields import FieldInfo
+
+from coordinator.scene_checks import Problem, cross_checks
+from coordinator.scene_tables import (
+    Atomistic,
+    Continuum,
+    Corners,
+    Crack,
+    Edge,
+    Handshake,
+    Material,
+    Run,
+    Scene,
+    snapped_overlap,
+)
+from coordinator.units import Quantity
+
+__all__ = [
+    "Atomistic",
+    "Continuum",
+    "Corners",
+    "Crack",
+    "Edge",
+    "Handshake",
+    "Material",
+    "Run",
+    "Scene",
+    "SceneError",
+    "load_scene",
+    "read_resolved",
+    "read_scene",
+    "snapped_overlap",
+]
+
+Path_ = tuple[str | int, ...]
+
+
+class SceneError(ValueError):
+    """A scene with mistakes.
+
+    Parameters
+    ----------
+    problems : sequence of str
+        One line per mistake: where, the value, what is allowed.
+    """
+
+    def __init__(self, problems: Sequence[str]) -> None:
+        super().__init__("\n".join(problems))
+        self.problems = tuple(problems)
+
+
+def load_scene(path: str | Path, overrides: Sequence[str] = ()) -> Scene:
+    """Read a scene file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A TOML file.
+    overrides : sequence of str
+        ``"key.sub=value"`` each, applied in order and checked like the file. The value is TOML, or,
+        where it is not, taken as text; items of lists are addressed by number, from 0.
+
+    Returns
+    -------
+    Scene
+        All values in SI.
+
+    Raises
+    ------
+    SceneError
+        If the file cannot be read, is not TOML, or anything in it or the overrides is not allowed. Its
+        text has one line per mistake, ``FILE: field.path = value: what is allowed``.
+    """
+    file = Path(path)
+    try:
+        text = file.read_text(encoding="utf-8")
+    except OSError as error:
+        raise SceneError([f"{file}: cannot be read: {error.strerror}"]) from None
+    except UnicodeDecodeError:
+        raise SceneError([f"{file}: is not UTF-8 text"]) from None
+    return read_scene(text, file.stem, overrides, str(file))
+
+
+def read_scene(text: str, name: str, overrides: Sequence[str] = (), file: str = "scene") -> Scene:
+    """Read the text of a scene file; see `load_scene`.
+
+    Parameters
+    ----------
+    text : str
+        TOML.
+    name : str
+        Name of the scene.
+    overrides : sequence of str
+        As in `load_scene`.
+    file : str
+        Name of the file in messages.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    SceneError
+        As `load_scene`.
+    """
+    try:
+        raw = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise SceneError([f"{file}: is not TOML: {error}"]) from None
+    lines: list[str] = []
+    overridden: list[Path_] = []
+    for override in overrides:
+        try:
+            overridden.append(_apply(raw, override))
+        except ValueError as error:
+            lines.append(f"--set {override}: {error}")
+    scene, problems = _validate(raw)
+    for where, allowed in problems:
+        from_override = any(where[: len(key)] == key[: len(where)] for key in overridden)
+        lines.append(_line("--set" if from_override else file, where, raw, allowed))
+    if lines or scene is None:
+        raise SceneError(list(dict.fromkeys(lines)))
+    scene._name, scene._text, scene._overrides = name, text, tuple(overrides)
+    return scene
+
+
+def read_resolved(values: dict[str, Any], name: str = "") -> Scene:
+    """Read back a scene from ``scene.model_dump(mode="json")``: the same values, already in SI.
+
+    Raises
+    ------
+    SceneError
+        If the values are no scene.
+    """
+    scene, problems = _validate(values, si=True)
+    if scene is None:
+        raise SceneError([_line("resolved scene", where, values, allowed) for where, allowed in problems])
+    scene._name = name
+    return scene
+
+
+def _validate(raw: dict[str, Any], si: bool = False) -> tuple[Scene | None, list[Problem]]:
+    """Return the scene, or None and every problem in it."""
+    context = {"si": si}
+    try:
+        scene = Scene.model_validate(raw, context=context)
+    except ValidationError as error:
+        problems: list[Problem] = [(item["loc"], _allowed(dict(item))) for item in error.errors()]
+        return None, problems + cross_checks(_draft(Scene, raw, context), _tables(raw))
+    problems = cross_checks(scene, _tables(raw))
+    return (None if problems else scene), problems
+
+
+def _tables(raw: dict[str, Any]) -> set[str]:
+    """Return the keys of the scene, and those of [continuum] with their prefix."""
+    continuum = raw.get("continuum")
+    inner = continuum.items() if isinstance(continuum, dict) else ()
+    return {key for key, value in raw.items() if value is not None} | {
+        f"continuum.{key}" for key, value in inner if value is not None
+    }
+
+
+def _apply(raw: dict[str, Any], override: str) -> Path_:
+    """Set one value in `raw` and return its path."""
+    key, equals, text = override.partition("=")
+    parts = key.strip().split(".")
+    if not equals or not all(parts):
+        raise ValueError('must be "key.sub=value"')
+    try:
+        parsed = tomllib.loads(f"value = {text}")
+        value = parsed["value"] if set(parsed) == {"value"} else text.strip()
+    except tomllib.TOMLDecodeError:
+        value = text.strip()
+    path: list[str | int] = []
+    place: Any = raw
+    for depth, part in enumerate(parts):
+        last = depth == len(parts) - 1
+        if isinstance(place, list):
+            if not part.isdecimal() or int(part) >= len(place):
+                where = ".".join(str(step) for step in path)
+                raise ValueError(f"{where} is a list of {len(place)}; {part!r} must be a number below that, from 0")
+            index = int(part)
+            path.append(index)
+            if last:
+                place[index] = value
+            place = place[index]
+        elif isinstance(place, dict):
+            path.append(part)
+            if last:
+                place[part] = value
+            else:
+                place = place.setdefault(part, {})
+        else:
+            raise ValueError(f"{'.'.join(str(step) for step in path)} is a value, not a table")
+    return tuple(path)
+
+
+# --- one line per mistake -------------------------------------------------------------------------
+
+
+def _line(file: str, where: Path_, raw: Any, allowed: str) -> str:
+    """Return ``FILE: field.path = value: what is allowed``."""
+    path = ".".join(str(part) for part in where)
+    value: Any = raw
+    for part in where:
+        try:
+            value = value[part]
+        except (KeyError, IndexError, TypeError):
+            return f"{file}: {path}: {allowed}"
+    if isinstance(value, dict) or (isinstance(value, list) and any(isinstance(item, dict) for item in value)):
+        return f"{file}: {path}: {allowed}"
+    shown = _toml(value)
+    return f"{file}: {path} = {shown if len(shown) <= 80 else shown[:77] + '...'}: {allowed}"
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return f'"{value}"'
+    if isinstance(value, list):
+        return "[" + ", ".join(_toml(item) for item in value) + "]"
+    return str(value)
+
+
+_COMPARISONS = {
+    "greater_than": ("gt", "must be greater than {}"),
+    "greater_than_equal": ("ge", "must be {} or greater"),
+    "less_than": ("lt", "must be less than {}"),
+    "less_than_equal": ("le", "must be {} or less"),
+}
+_KINDS = {
+    "int_type": "must be a whole number",
+    "float_type": "must be a number",
+    "string_type": "must be text",
+    "model_type": "must be a table",
+    "model_attributes_type": "must be a table",
+    "dict_type": "must be a table",
+    "list_type": "must be a list",
+    "tuple_type": "must be a list",
+    "string_too_short": "must not be empty",
+}
+
+
+def _allowed(item: dict[str, Any]) -> str:
+    """Say what is allowed where pydantic found a mistake."""
+    kind, context = item["type"], item.get("ctx", {})
+    if kind == "missing":
+        return f"is missing{_needed(item['loc'])}"
+    if kind == "extra_forbidden":
+        known = list(_table_at(item["loc"][:-1]).model_fields)
+        near = difflib.get_close_matches(str(item["loc"][-1]), known, 1, 0.5)
+        return f"is no key of this table; {f'did you mean {near[0]}?' if near else 'known: ' + ', '.join(known)}"
+    if kind in _COMPARISONS:
+        name, text = _COMPARISONS[kind]
+        return text.format(context[name])
+    if kind == "literal_error":
+        return f"must be one of {context['expected']}"
+    if kind == "too_short":
+        return f"has {context['actual_length']} values, must have at least {context['min_length']}"
+    if kind == "too_long":
+        return f"has {context['actual_length']} values, must have {context['max_length']}"
+    return _KINDS.get(kind, item["msg"])
+
+
+def _needed(where: Path_) -> str:
+    """Describe the field at `where` for a message that it is missing."""
+    if isinstance(where[-1], int):
+        return "; the list is too short"
+    field = _table_at(where[:-1]).model_fields[where[-1]]
+    for item in field.metadata:
+        if isinstance(item, Quantity):
+            return f"; needed: {item.wanted()}"
+    description = field.description
+    return f"; needed: {description.split(',')[0]}" if description else "; it is needed"
+
+
+def _table_at(where: Iterable[str | int]) -> type[BaseModel]:
+    """Return the model of the table at a path."""
+    table: type[BaseModel] = Scene
+    for part in where:
+        if isinstance(part, str):
+            found = _table_of(table.model_fields[part])
+            assert found is not None, where
+            table = found
+    return table
+
+
+def _table_of(field: FieldInfo) -> type[BaseModel] | None:
+    """Return the model that a field holds, alone, optional or in a list."""
+    for kind in (field.annotation, *get_args(field.annotation)):
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            return kind
+    return None
+
+
+# --- drafts for the checks between fields ---------------------------------------------------------
+
+
+class _Draft:
+    """Stands for a table of which some fields could not be read; those are None."""
+
+    def __init__(self, table: type[BaseModel], values: dict[str, Any]) -> None:
+        self.__dict__.update(values)
+        self._table = table
+
+    def __getattr__(self, name: str) -> Any:
+        # Properties of the table (axis, first_velocity) are computed from the draft's values.
+        found = getattr(self._table, name)
+        if isinstance(found, property) and found.fget is not None:
+            return found.fget(self)
+        raise AttributeError(name)
+
+
+def _draft(table: type[BaseModel], raw: Any, context: dict[str, Any]) -> Any:
+    """Read what can be read of a table; None where it is no table."""
+    if not isinstance(raw, dict):
+        return None
+    values: dict[str, Any] = {}
+    for name, field in table.model_fields.items():
+        inner = _table_of(field)
+        if name not in raw:
+            values[name] = None if field.is_required() else field.get_default(call_default_factory=True)
+        elif inner is not None and not _is_list(field):
+            values[name] = _draft(inner, raw[name], context)
+        elif inner is not None:
+            items = raw[name] if isinstance(raw[name], list) else []
+            drafts = [_draft(inner, item, context) for item in items]
+            # A list with an item that is no table is left out: numbers of items would no longer fit.
+            values[name] = None if any(draft is None for draft in drafts) else drafts
+        else:
+            try:
+                annotated: Any = Annotated[field.annotation, field]
+                adapter: TypeAdapter[Any] = TypeAdapter(annotated)
+                values[name] = adapter.validate_python(raw[name], context=context)
+            except ValidationError:
+                values[name] = None
+    return _Draft(table, values)
+
+
+def _is_list(field: FieldInfo) -> bool:
+    kinds = get_args(field.annotation) if get_origin(field.annotation) in (Union, UnionType) else ()
+    return any(get_origin(kind) is list for kind in (field.annotation, *kinds))

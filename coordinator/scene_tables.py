@@ -1,0 +1,235 @@
+"""Tables of a scene file as models. All values are SI floats once read."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
+
+from coordinator.units import (
+    Length,
+    PositiveDensity,
+    PositiveLength,
+    PositivePressure,
+    PositiveStiffness,
+    PositiveTime,
+    Rate,
+    Temperature,
+    Time,
+)
+
+#: Part of a cell by which a length may miss a whole number of cells.
+CELL_TOLERANCE = 1e-6
+
+Count = Annotated[int, Field(strict=True, gt=0)]
+Seed = Annotated[int, Field(strict=True, ge=0, lt=2**31)]
+Name = Annotated[str, Field(strict=True, min_length=1)]
+Point = tuple[float, float]
+#: Lower and upper corner of an axis-parallel rectangle, m.
+Corners = tuple[Point, Point]
+
+
+class Table(BaseModel):
+    """A table of the scene file; unknown keys are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Run(Table):
+    """How long the run is and how often it writes."""
+
+    steps: Count = Field(description="most coupling steps")
+    output_every: Count = Field(default=50, description="steps between frames of atoms and points")
+    checkpoint_every: Count = Field(default=100, description="steps between checkpoints")
+    seed: Seed = 1
+    stop_after_crack_growth: PositiveLength | None = Field(
+        default=None, description="the run ends when the atoms' crack tip has moved so far, m"
+    )
+
+
+class Material(Table):
+    """Linear elastic, isotropic."""
+
+    young: PositivePressure = Field(description="Young's modulus, Pa")
+    poisson: Annotated[float, Field(strict=True, gt=-1, lt=0.5)]
+    density: PositiveDensity = Field(description="kg/m3")
+    thickness: PositiveLength = Field(description="m")
+
+
+class Edge(Table):
+    """Prescribed displacement of one edge of the body, piecewise linear in time."""
+
+    edge: Literal["left", "right", "bottom", "top"]
+    component: Literal["x", "y"]
+    times: list[Time] = Field(min_length=2, description="s, ascending; constant after the last")
+    displacements: list[Length] = Field(min_length=2, description="m")
+
+    @property
+    def axis(self) -> int:
+        """Component as an index: 0 is x, 1 is y."""
+        return "xy".index(self.component)
+
+    @property
+    def normal_axis(self) -> int:
+        """Axis of the edge's normal."""
+        return 0 if self.edge in ("left", "right") else 1
+
+    @property
+    def first_velocity(self) -> float:
+        """Velocity of the edge at the start, m/s."""
+        return (self.displacements[1] - self.displacements[0]) / (self.times[1] - self.times[0])
+
+
+class Continuum(Table):
+    """The continuum, its grid and its edges."""
+
+    backend: Name = "mpm_service"
+    assumption: Literal["plane_stress", "plane_strain"]
+    lower: tuple[Length, Length] = Field(description="lower left corner of the body, m")
+    upper: tuple[Length, Length] = Field(description="upper right corner of the body, m")
+    cell_size: PositiveLength = Field(description="edge of a background cell, m")
+    points_per_cell: Count = Field(default=2, description="material points per cell and direction")
+    damping_rate: Rate = Field(default=0.0, description="mass-proportional damping, 1/s")
+    initial_velocity: Literal["rest", "follow_edges"] = "rest"
+    time_step: PositiveTime | None = Field(
+        default=None, description="s; only without [atomistic], else steps_per_exchange times its time step"
+    )
+    material: Material | None = Field(default=None, description="absent: measured by the atomistic service")
+    edges: list[Edge] = Field(default=[], description="prescribed displacements")
+
+    def initial_velocity_gradient(self) -> tuple[float, float, float, float] | None:
+        """Velocity gradient (xx, xy, yx, yy), 1/s, that starts the body with its edges; None from rest."""
+        if self.initial_velocity == "rest":
+            return None
+        gradient = [0.0] * 4
+        for edge in self.edges:
+            place = (self.lower, self.upper)[edge.edge in ("right", "top")][edge.normal_axis]
+            if place != 0.0:
+                gradient[2 * edge.axis + edge.normal_axis] = edge.first_velocity / place
+        return gradient[0], gradient[1], gradient[2], gradient[3]
+
+
+class Atomistic(Table):
+    """The atomistic sample, a flat sheet centred on the origin."""
+
+    backend: Name = "md_service"
+    ranks: Count = Field(default=1, description="MPI processes")
+    force_field: Name
+    material: Name = "graphene"
+    width: PositiveLength = Field(description="extent along x, m")
+    height: PositiveLength = Field(description="extent along y, m")
+    temperature: Temperature = Field(description="K")
+    time_step: PositiveTime = Field(description="s")
+    equilibration: Time = Field(default=1e-12, description="time before the reference is measured, s")
+    reference: PositiveTime = Field(default=1e-12, description="averaging time of the reference force, s")
+
+
+class Handshake(Table):
+    """Overlap of continuum and atoms, and the exchange between them."""
+
+    width: PositiveLength = Field(description="width of the ring, m")
+    steps_per_exchange: Count = Field(description="M: atomistic steps in one continuum step")
+    ivc_size: PositiveLength = Field(description="edge of an interface volume cell, m")
+    damping_time: PositiveTime | None = Field(default=None, description="s; absent: no damper, no thermostat")
+    weight: Annotated[float, Field(strict=True, gt=0, le=1)] | None = Field(
+        default=None, description="share of the continuum's stiffness and mass; absent: by theory"
+    )
+    stiffness: PositiveStiffness | None = Field(default=None, description="anchor spring, N/m; absent: by theory")
+    spread: Literal["ivc", "anchor"] = Field(
+        default="ivc", description="reactions go to the points of an IVC, or back along the shape functions"
+    )
+
+
+class Crack(Table):
+    """A straight crack from the left edge of the body."""
+
+    tip_x: Length = Field(description="m")
+    y: Length = Field(description="m")
+
+
+class Scene(Table):
+    """A whole scene in SI, with the text it was read from."""
+
+    title: Name
+    run: Run
+    continuum: Continuum
+    atomistic: Atomistic | None = None
+    handshake: Handshake | None = None
+    crack: Crack | None = None
+
+    _name: str = PrivateAttr(default="")
+    _text: str = PrivateAttr(default="")
+    _overrides: tuple[str, ...] = PrivateAttr(default=())
+
+    @property
+    def name(self) -> str:
+        """Name of the scene: its file name without ending."""
+        return self._name
+
+    @property
+    def text(self) -> str:
+        """Text of the scene file, without overrides."""
+        return self._text
+
+    @property
+    def overrides(self) -> tuple[str, ...]:
+        """Overrides as they were given, ``key.sub=value``."""
+        return self._overrides
+
+    @property
+    def time_step(self) -> float:
+        """Coupling step, which is the continuum's step, s."""
+        if self.atomistic is not None and self.handshake is not None:
+            return self.handshake.steps_per_exchange * self.atomistic.time_step
+        assert self.continuum.time_step is not None  # held by the cross-field checks
+        return self.continuum.time_step
+
+    def overlap(self, width: float | None = None, height: float | None = None) -> tuple[Corners, Corners] | None:
+        """Return the inner and the outer rectangle of the handshake, both on grid lines; see `snapped_overlap`.
+
+        Parameters
+        ----------
+        width, height : float, optional
+            True extent of the sheet, m; the requested extent where absent.
+        """
+        if self.atomistic is None or self.handshake is None:
+            return None
+        return snapped_overlap(
+            self.continuum.lower, self.continuum.cell_size, width or self.atomistic.width,
+            height or self.atomistic.height, self.handshake.width,
+        )  # fmt: skip
+
+
+def snapped_overlap(
+    lower: Point, cell_size: float, width: float, height: float, handshake: float
+) -> tuple[Corners, Corners]:
+    """Lay the overlap ring of a centred sheet onto grid lines.
+
+    Parameters
+    ----------
+    lower : tuple of float
+        A corner of the grid's cells, m.
+    cell_size : float
+        Edge of a cell, m.
+    width, height : float
+        Extent of the sheet, m.
+    handshake : float
+        Width of the ring, a whole number of cells, m.
+
+    Returns
+    -------
+    inner, outer : tuple of tuple of float
+        Lower and upper corners, m. The outer rectangle has the grid lines nearest to the edges of
+        the sheet, the inner one lies `handshake` inside it.
+    """
+    ring = round(handshake / cell_size)
+    low: list[int] = []
+    high: list[int] = []
+    for axis, half in ((0, width / 2), (1, height / 2)):
+        low.append(round((-half - lower[axis]) / cell_size))
+        high.append(round((half - lower[axis]) / cell_size))
+
+    def corner(cells: list[int], shift: int) -> Point:
+        return (lower[0] + (cells[0] + shift) * cell_size, lower[1] + (cells[1] + shift) * cell_size)
+
+    return (corner(low, ring), corner(high, -ring)), (corner(low, 0), corner(high, 0))

@@ -1,0 +1,58 @@
+"""Time series that a run writes: their names, units and meaning, and how the report scales them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Series:
+    """What a time series is.
+
+    Parameters
+    ----------
+    unit : str
+        Unit in the file, SI.
+    description : str
+        What it measures, for labels.
+    """
+
+    unit: str
+    description: str
+
+
+SERIES: dict[str, Series] = {
+    "time": Series("s", "time since the start of the coupled run"),
+    "continuum_kinetic": Series("J", "kinetic energy of the continuum"),
+    "continuum_strain": Series("J", "strain energy of the continuum"),
+    "continuum_edge_work": Series("J", "work done on the continuum by its edges"),
+    "continuum_interface_work": Series("J", "work done on the continuum by the atoms"),
+    "continuum_damping_loss": Series("J", "energy taken from the continuum by damping"),
+    "atomistic_potential": Series("J", "potential energy of the atoms against the start"),
+    "atomistic_kinetic": Series("J", "kinetic energy of the atoms"),
+    "spring_energy": Series("J", "energy in the anchor springs"),
+    "anchor_work": Series("J", "work done on the springs by moving anchors"),
+    "temperature": Series("K", "temperature of the atoms without an anchor"),
+    "handshake_temperature": Series("K", "temperature of the anchored atoms"),
+    "force_sum_x": Series("N", "sum of the interface forces, x"),
+    "force_sum_y": Series("N", "sum of the interface forces, y"),
+    "force_balance": Series("1", "imbalance between cell forces and anchor forces, relative"),
+    "ivc_force_rms": Series("N", "force on an interface volume cell, root mean square"),
+    "ivc_error_rms": Series("N", "standard error of that force, root mean square"),
+    "applied_strain": Series("1", "strain applied by the edges"),
+    "edge_force": Series("N", "force of the top edge on the body"),
+    "j_boundary": Series("J/m^2", "J integral estimated from the displacement of the edges"),
+    "crack_tip": Series("m", "x of the crack tip in the atoms"),
+    "broken_bonds": Series("1", "bonds broken since the start"),
+    "longest_bond": Series("m", "longest bond"),
+    "courant": Series("1", "Courant number of the continuum step"),
+    "points_lost": Series("1", "material points that left the grid since the start"),
+    "seconds_continuum": Series("s", "wall time of the continuum in this step"),
+    "seconds_atomistic": Series("s", "wall time of the atoms in this step"),
+    "seconds_exchange": Series("s", "wall time of the exchange in this step"),
+}
+
+
+def series_of(name: str) -> Series:
+    """Return what is known of a series; an unknown one has no unit and no description."""
+    return SERIES.get(name, Series("", ""))

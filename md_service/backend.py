@@ -1,0 +1,34 @@
+"""Announces the LAMMPS backend of the atomistic role; cheap to import."""
+
+from __future__ import annotations
+
+from protocol.backend import Backend
+
+BACKEND = Backend(
+    name="md_service",
+    role="atomistic",
+    summary="molecular dynamics by LAMMPS, serial or under MPI",
+    factory="md_service.service:make_service",
+    launcher="md_service.backend:mpi_launcher",
+    # Measured on one core of a common server: graphene with springs on half of the atoms.
+    seconds_per_unit_step={
+        "tersoff": 1.3e-6,
+        "airebo": 1.6e-6,
+        "airebo-sharp": 1.6e-6,
+        "rebo": 1.6e-6,
+        "lcbop": 1.7e-6,
+    },
+)
+
+
+def mpi_launcher(ranks: int) -> list[str]:
+    """Return the words that start `ranks` ranks with the MPI of the environment."""
+    import shutil
+    import sys
+    from pathlib import Path
+
+    beside_python = Path(sys.prefix) / "bin" / "mpiexec"
+    program = str(beside_python) if beside_python.exists() else shutil.which("mpiexec")
+    if program is None:
+        raise FileNotFoundError("no mpiexec on the path; it comes with the extra lammps[mpi]")
+    return [program, "-n", str(ranks)]
