@@ -161,21 +161,24 @@ class Coupling:
         self.atom_id, self.atom_mass, self.atom_position = built.atom_id, built.atom_mass, built.position
         self.warnings += built.warnings
         material = self.material
+        # The ring ends where the atoms do: continuum of small weight beyond the last atoms would be a soft gap.
+        low, high = built.position[:, :2].min(axis=0), built.position[:, :2].max(axis=0)
+        corners = scene.overlap(float(high[0] - low[0]), float(high[1] - low[1]))
+        assert corners is not None
+        inner, outer = _rectangle(corners[0]), Rectangle(lower=tuple(low), upper=tuple(high))
+        width = float(np.mean([np.subtract(inner.lower, low), np.subtract(high, inner.upper)]))
         self.handshake = choose(
             material.young,
             material.density,
-            scene.handshake.width,
+            width,
             scene.time_step,
             weight=scene.handshake.weight,
             stiffness_density=self._given_stiffness_density(built.atom_mass),
         )
-        extent = built.position[:, :2].max(axis=0) - built.position[:, :2].min(axis=0)
-        corners = scene.overlap(float(extent[0]), float(extent[1]))
-        assert corners is not None
         self.interface = build_interface(
             built.position,
-            _rectangle(corners[0]),
-            _rectangle(corners[1]),
+            inner,
+            outer,
             self.handshake.weight,
             scene.handshake.ivc_size,
             scene.crack.y if scene.crack else None,

@@ -88,8 +88,8 @@ def _body(continuum: Any) -> Iterator[Problem]:
             yield (
                 where,
                 (
-                    f"the body is {extent / cell:.6g} cells of {_angstrom(cell)} along {letter}, must be a whole number;"
-                    f" nearest: {_angstrom(lower[axis] + nearest * cell)}"
+                    f"the body is {extent / cell:.6g} cells of {_angstrom(cell)} along {letter}, must be a whole"
+                    f" number; nearest: {_angstrom(lower[axis] + nearest * cell)}"
                 ),
             )
 
@@ -144,8 +144,8 @@ def _follow_edges(continuum: Any) -> Iterator[Problem]:
                 yield (
                     where,
                     (
-                        f"follow_edges needs one {letter} velocity gradient, but {pair[0][0]} gives {pair[0][1]:.6g} 1/s"
-                        f" and {pair[1][0]} {pair[1][1]:.6g} 1/s"
+                        f"follow_edges needs one {letter} velocity gradient, but {pair[0][0]} gives {pair[0][1]:.6g}"
+                        f" 1/s and {pair[1][0]} {pair[1][1]:.6g} 1/s"
                     ),
                 )
         for normal, other in ((0, 1), (1, 0)):
@@ -186,7 +186,8 @@ def _handshake(scene: Any) -> Iterator[Problem]:
         yield (
             ("handshake", "width"),
             (
-                f"is {width / cell:.6g} cells of {_angstrom(cell)}, must be a whole number; nearest: {_angstrom(nearest)}"
+                f"is {width / cell:.6g} cells of {_angstrom(cell)}, must be a whole number;"
+                f" nearest: {_angstrom(nearest)}"
             ),
         )
         return

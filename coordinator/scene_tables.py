@@ -136,7 +136,7 @@ class Handshake(Table):
     )
     stiffness: PositiveStiffness | None = Field(default=None, description="anchor spring, N/m; absent: by theory")
     spread: Literal["ivc", "anchor"] = Field(
-        default="ivc", description="reactions go to the points of an IVC, or back along the shape functions"
+        default="anchor", description="reactions go back along the shape functions, or evenly to the points of an IVC"
     )
 
 

@@ -8,6 +8,7 @@ other ranks sit in `follow`. Calls travel as JSON and raw arrays; nothing is pic
 import atexit
 import inspect
 import json
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -104,6 +105,10 @@ class MpiRanks:
         answer = np.array([from_first], dtype=np.int8)
         self._communicator.Bcast(answer, root=0)
         return bool(answer[0])
+
+    def abort(self) -> None:
+        """End all ranks at once."""
+        self._communicator.Abort(1)
 
     def broadcast_call(self, method: str, arguments: dict[str, Any]) -> None:
         """Announce a call from rank 0.
@@ -249,6 +254,10 @@ def follow(ranks: MpiRanks) -> None:
                 raise EngineError(f"rank 0 announced the unknown method {method!r}")
         except (EngineError, ValueError):
             continue
+        except Exception:
+            # Unforeseen and perhaps on this rank alone: rank 0 would wait for this rank without end.
+            traceback.print_exc()
+            ranks.abort()
 
 
 def _make(ranks: MpiRanks, description: dict[str, Any]) -> Any:

@@ -26,6 +26,11 @@ def weigh_anchors(
     weight: NDArray[np.float64],
 ) -> None:
     """Linear shape functions (Eq 32) of all anchors over the nodes that carry material on their side."""
+    near = crack.near
+    node_local = crack.node_local
+    base = crack.base
+    length = crack.length
+    tolerance = crack.tolerance
     for a in range(position.shape[0]):
         xi = (position[a, 0] + displacement[a, 0] - mesh.origin_x) * mesh.inverse_cell
         eta = (position[a, 1] + displacement[a, 1] - mesh.origin_y) * mesh.inverse_cell
@@ -42,7 +47,7 @@ def weigh_anchors(
         for k in range(4):
             n = (jy + k // 2) * mesh.stride + ix + k % 2
             if crack.on:
-                n = field_row(crack, n, local[a, 0], local[a, 1])
+                n = field_row(near, node_local, base, length, tolerance, n, local[a, 0], local[a, 1])
             node[a, k] = n
             weight[a, k] = (fx if k % 2 else 1.0 - fx) * (fy if k // 2 else 1.0 - fy)
             heaviest = max(heaviest, momentum[n, 0])
@@ -74,12 +79,14 @@ def scatter_anchor_forces(
 def move_anchors(
     node: NDArray[np.int64],
     weight: NDArray[np.float64],
+    force: NDArray[np.float64],
     motion: NDArray[np.float64],
     time_step: float,
     displacement: NDArray[np.float64],
     velocity: NDArray[np.float64],
-) -> None:
-    """Advance anchor displacements [m] with the nodal velocities; velocity is that of this step [m/s]."""
+) -> float:
+    """Advance anchor displacements [m] with the nodal velocities [m/s]; returns the forces' work [J]."""
+    work = 0.0
     for a in range(node.shape[0]):
         for axis in range(2):
             v = 0.0
@@ -87,3 +94,5 @@ def move_anchors(
                 v += weight[a, k] * motion[node[a, k], axis]
             velocity[a, axis] = v
             displacement[a, axis] += time_step * v
+            work += time_step * force[a, axis] * v
+    return work

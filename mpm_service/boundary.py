@@ -58,8 +58,8 @@ class EdgeCondition:
 
     edge: Literal["left", "right", "bottom", "top"]
     component: int
-    times: Sequence[float]
-    displacements: Sequence[float]
+    times: Sequence[float] | NDArray[np.float64]
+    displacements: Sequence[float] | NDArray[np.float64]
 
     def __post_init__(self) -> None:
         if self.edge not in EDGES:
@@ -155,9 +155,7 @@ def locate_edges(
 
 
 @njit(cache=True, nogil=True)
-def _held(
-    edges: EdgeSet, nearest: NDArray[np.int64], k: int, first: int, along: int, across: int
-) -> bool:
+def _held(edges: EdgeSet, nearest: NDArray[np.int64], k: int, first: int, along: int, across: int) -> bool:
     """Does a condition from number ``first`` on, of another edge direction, hold this node's component?"""
     for q in range(first, edges.axis.size):
         if (
@@ -271,9 +269,7 @@ def move_edges(
                     new = velocity[k] + r * (after - velocity[k])
                     motion[n, comp] = new
                     motion[n, 2 + comp] = new - old
-                    impulse += (1.0 - r) * (
-                        momentum[n, 0] * (new - old) - time_step * momentum[n, 3 + comp]
-                    )
+                    impulse += (1.0 - r) * (momentum[n, 0] * (new - old) - time_step * momentum[n, 3 + comp])
                     not_lost += 0.5 * momentum[n, 0] * new * new * (1.0 / (keep * keep) - 1.0)
         reaction[k] = impulse / time_step
         work += 0.5 * impulse * (velocity[k] + velocity_before[k])

@@ -158,49 +158,64 @@ def crosses(s_p: float, d_p: float, s_i: float, d_i: float, length: float, toler
 
 
 @njit(inline="always")
-def field_row(crack: CrackFields, node: int, s_p: float, d_p: float) -> int:
-    """Row of the nodal tables that material at reference place (s, d) uses at a grid node."""
-    k = crack.near[node]
-    if k >= 0 and crosses(
-        s_p, d_p, crack.node_local[k, 0], crack.node_local[k, 1], crack.length, crack.tolerance
-    ):
-        return crack.base + k
+def field_row(
+    near: NDArray[np.int64],
+    node_local: NDArray[np.float64],
+    base: int,
+    length: float,
+    tolerance: float,
+    node: int,
+    s_p: float,
+    d_p: float,
+) -> int:
+    """Row of the nodal tables that material at reference place (s, d) uses at a grid node.
+
+    The first five arguments are those of ``CrackFields``, taken out of it before the loop: reading them from
+    the tuple inside a loop costs a reference count each time.
+    """
+    k = near[node]
+    if k >= 0 and crosses(s_p, d_p, node_local[k, 0], node_local[k, 1], length, tolerance):
+        return base + k
     return node
 
 
 @njit(inline="always")
-def _marker_value(crack: CrackFields, s: float) -> tuple[float, float, float, float]:
+def _marker_value(marker: NDArray[np.float64], length: float, s: float) -> tuple[float, float, float, float]:
     """Face displacements of the crack at ``s``, linear between markers, held beyond the ends."""
-    last = crack.marker.shape[0] - 1
-    t = min(max(s / crack.length, 0.0), 1.0) * last
+    last = marker.shape[0] - 1
+    t = min(max(s / length, 0.0), 1.0) * last
     m = min(int(t), last - 1)
     w = t - m
     v = 1.0 - w
     return (
-        v * crack.marker[m, 0] + w * crack.marker[m + 1, 0],
-        v * crack.marker[m, 1] + w * crack.marker[m + 1, 1],
-        v * crack.marker[m, 2] + w * crack.marker[m + 1, 2],
-        v * crack.marker[m, 3] + w * crack.marker[m + 1, 3],
+        v * marker[m, 0] + w * marker[m + 1, 0],
+        v * marker[m, 1] + w * marker[m + 1, 1],
+        v * marker[m, 2] + w * marker[m + 1, 2],
+        v * marker[m, 3] + w * marker[m + 1, 3],
     )
 
 
 @njit(cache=True, nogil=True)
 def find_near_nodes(crack: CrackFields, mesh: Mesh) -> None:
     """List the grid nodes that may need a second field, around the crack at ``marker_found``."""
+    near = crack.near
+    near_node = crack.near_node
+    block = crack.block
+    marker_found = crack.marker_found
     for k in range(crack.near_count[0]):
-        node = crack.near_node[k]
-        crack.near[node] = -1
+        node = near_node[k]
+        near[node] = -1
         for j in range(-1, 2):
             for i in range(-1, 2):
                 other = node + j * mesh.stride + i
-                if 0 <= other < crack.block.size:
-                    crack.block[other] = 0
+                if 0 <= other < block.size:
+                    block[other] = 0
     count = 0
     last = crack.marker.shape[0] - 1
     reach = int(_REACH) + 1
     for m in range(last + 1):
-        ux = crack.marker_found[m, 0]
-        uy = crack.marker_found[m, 1]
+        ux = marker_found[m, 0]
+        uy = marker_found[m, 1]
         s = crack.length * m / last
         xi = (crack.start_x + s * crack.tangent_x + ux - mesh.origin_x) * mesh.inverse_cell
         eta = (crack.start_y + s * crack.tangent_y + uy - mesh.origin_y) * mesh.inverse_cell
@@ -210,37 +225,40 @@ def find_near_nodes(crack: CrackFields, mesh: Mesh) -> None:
                     continue
                 node = jy * mesh.stride + ix
                 if (
-                    crack.near[node] < 0
+                    near[node] < 0
                     and (ix - xi) ** 2 + (jy - eta) ** 2 < _REACH * _REACH
-                    and count < crack.near_node.size
+                    and count < near_node.size
                 ):
-                    crack.near[node] = count
-                    crack.near_node[count] = node
+                    near[node] = count
+                    near_node[count] = node
                     count += 1
     crack.near_count[0] = count
     for k in range(count):
         for j in range(-1, 2):
             for i in range(-1, 2):
-                other = crack.near_node[k] + j * mesh.stride + i
-                if 0 <= other < crack.block.size:
-                    crack.block[other] = 1
+                other = near_node[k] + j * mesh.stride + i
+                if 0 <= other < block.size:
+                    block[other] = 1
 
 
 @njit(cache=True, nogil=True)
 def place_nodes(crack: CrackFields, mesh: Mesh) -> None:
     """Bring the near nodes into the crack's reference frame."""
+    marker = crack.marker
+    near_node = crack.near_node
+    node_local = crack.node_local
     for k in range(crack.near_count[0]):
-        node = crack.near_node[k]
+        node = near_node[k]
         x = mesh.origin_x + mesh.cell_size * (node % mesh.stride) - crack.start_x
         y = mesh.origin_y + mesh.cell_size * (node // mesh.stride) - crack.start_y
         s = x * crack.tangent_x + y * crack.tangent_y
-        a, b, c, d = _marker_value(crack, s)
+        a, b, c, d = _marker_value(marker, crack.length, s)
         s -= 0.5 * ((a + c) * crack.tangent_x + (b + d) * crack.tangent_y)
-        a, b, c, d = _marker_value(crack, s)
+        a, b, c, d = _marker_value(marker, crack.length, s)
         x -= 0.5 * (a + c)
         y -= 0.5 * (b + d)
-        crack.node_local[k, 0] = x * crack.tangent_x + y * crack.tangent_y
-        crack.node_local[k, 1] = -x * crack.tangent_y + y * crack.tangent_x
+        node_local[k, 0] = x * crack.tangent_x + y * crack.tangent_y
+        node_local[k, 1] = -x * crack.tangent_y + y * crack.tangent_x
 
 
 @njit(cache=True, nogil=True)
@@ -271,21 +289,24 @@ def hold_faces_apart(
     ``velocity`` has the nodal velocity in its first two columns; the change is added to the two columns from
     ``increment_column`` on as well, unless that is 0.
     """
+    marker = crack.marker
+    near_node = crack.near_node
+    node_local = crack.node_local
     nx = -crack.tangent_y
     ny = crack.tangent_x
     for k in range(crack.near_count[0]):
-        node = crack.near_node[k]
+        node = near_node[k]
         twin = crack.base + k
         m_own = momentum[node, 0]
         m_far = momentum[twin, 0]
         if not (m_own > 0.0 and m_far > 0.0):
             continue
-        a, b, c, d = _marker_value(crack, crack.node_local[k, 0])
+        a, b, c, d = _marker_value(marker, crack.length, node_local[k, 0])
         if (a - c) * nx + (b - d) * ny > 0.0:
             continue
         own = velocity[node, 0] * nx + velocity[node, 1] * ny
         far = velocity[twin, 0] * nx + velocity[twin, 1] * ny
-        apart = own - far if crack.node_local[k, 1] >= 0.0 else far - own
+        apart = own - far if node_local[k, 1] >= 0.0 else far - own
         if apart >= 0.0:
             continue
         common = (m_own * own + m_far * far) / (m_own + m_far)
@@ -305,50 +326,52 @@ def move_crack(
     motion: NDArray[np.float64],
     time_step: float,
 ) -> None:
-    """Carry both faces along with the material of their side."""
-    last = crack.marker.shape[0] - 1
-    first_live = -1
-    previous_live = -1
-    for m in range(last + 1):
-        s = crack.length * m / last
-        ux = 0.5 * (crack.marker[m, 0] + crack.marker[m, 2])
-        uy = 0.5 * (crack.marker[m, 1] + crack.marker[m, 3])
-        xi = (crack.start_x + s * crack.tangent_x + ux - mesh.origin_x) * mesh.inverse_cell
-        eta = (crack.start_y + s * crack.tangent_y + uy - mesh.origin_y) * mesh.inverse_cell
-        live = 0 <= xi < mesh.cells_x and 0 <= eta < mesh.cells_y
-        if live:
-            ix = int(xi)
-            jy = int(eta)
-            fx = xi - ix
-            fy = eta - jy
-            for side in range(2):
-                total = 0.0
-                vx = 0.0
-                vy = 0.0
-                for j in range(2):
-                    for i in range(2):
-                        row = (jy + j) * mesh.stride + ix + i
-                        k = crack.near[row]
-                        if k >= 0:
-                            above = crack.node_local[k, 1] >= 0.0
-                            twin = crack.base + k
-                            if above != (side == 0) and momentum[twin, 0] > 0.0:
-                                row = twin
-                        if momentum[row, 0] > 0.0:
-                            w = (fx if i == 1 else 1.0 - fx) * (fy if j == 1 else 1.0 - fy)
-                            total += w
-                            vx += w * motion[row, 0]
-                            vy += w * motion[row, 1]
-                if total > 0.0:
-                    crack.marker[m, 2 * side] += time_step * vx / total
-                    crack.marker[m, 2 * side + 1] += time_step * vy / total
-                else:
-                    live = False
-        if live:
-            previous_live = m
-            if first_live < 0:
-                first_live = m
-        elif previous_live >= 0:
-            crack.marker[m] = crack.marker[previous_live]
-    for m in range(max(first_live, 0)):
-        crack.marker[m] = crack.marker[first_live]
+    """Carry both faces along with the material of their side.
+
+    Each face is sampled where it is itself, so a wide gap does no harm. A marker without material on a side
+    (the crack may start outside the body) moves as its neighbour on that face does.
+    """
+    marker = crack.marker
+    near = crack.near
+    node_local = crack.node_local
+    last = marker.shape[0] - 1
+    for side in range(2):
+        first_live = -1
+        previous_live = -1
+        for m in range(last + 1):
+            s = crack.length * m / last
+            x = crack.start_x + s * crack.tangent_x + marker[m, 2 * side]
+            y = crack.start_y + s * crack.tangent_y + marker[m, 2 * side + 1]
+            xi = (x - mesh.origin_x) * mesh.inverse_cell
+            eta = (y - mesh.origin_y) * mesh.inverse_cell
+            total = 0.0
+            vx = 0.0
+            vy = 0.0
+            if 0 <= xi < mesh.cells_x and 0 <= eta < mesh.cells_y:
+                ix = int(xi)
+                jy = int(eta)
+                for k in range(4):
+                    row = (jy + k // 2) * mesh.stride + ix + k % 2
+                    k_near = near[row]
+                    if k_near >= 0:
+                        opposite = (node_local[k_near, 1] >= 0.0) != (side == 0)
+                        beside = crack.tolerance < node_local[k_near, 0] < crack.length - crack.tolerance
+                        if opposite and beside:
+                            row = crack.base + k_near
+                    if momentum[row, 0] > 0.0:
+                        w = (xi - ix if k % 2 else 1.0 - xi + ix) * (eta - jy if k // 2 else 1.0 - eta + jy)
+                        total += w
+                        vx += w * motion[row, 0]
+                        vy += w * motion[row, 1]
+            if total > 0.0:
+                marker[m, 2 * side] += time_step * vx / total
+                marker[m, 2 * side + 1] += time_step * vy / total
+                previous_live = m
+                if first_live < 0:
+                    first_live = m
+            elif previous_live >= 0:
+                marker[m, 2 * side] = marker[previous_live, 2 * side]
+                marker[m, 2 * side + 1] = marker[previous_live, 2 * side + 1]
+        for m in range(max(first_live, 0)):
+            marker[m, 2 * side] = marker[first_live, 2 * side]
+            marker[m, 2 * side + 1] = marker[first_live, 2 * side + 1]

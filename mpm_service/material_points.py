@@ -87,6 +87,7 @@ class Body:
 
 
 def _on_line(name: str, value: float, origin: float, cell_size: float) -> int:
+    value, origin, cell_size = float(value), float(origin), float(cell_size)
     cells = (value - origin) / cell_size
     nearest = round(cells)
     if not np.isfinite(cells) or abs(cells - nearest) > _LINE_TOLERANCE:
@@ -96,6 +97,15 @@ def _on_line(name: str, value: float, origin: float, cell_size: float) -> int:
             f"(lines every {cell_size!r} m from {origin!r} m)"
         )
     return int(nearest)
+
+
+def _share_inside(
+    position: NDArray[np.float64], size: float, lower: Sequence[float], upper: Sequence[float]
+) -> NDArray[np.float64]:
+    """Share of each point's square domain that lies inside a rectangle."""
+    reach = 0.5 * size
+    covered = np.minimum(position + reach, np.asarray(upper)) - np.maximum(position - reach, np.asarray(lower))
+    return np.prod(np.clip(covered / size, 0.0, 1.0), axis=1)
 
 
 def fill_rectangle(
@@ -119,7 +129,9 @@ def fill_rectangle(
     hole : (lower, upper), optional
         Rectangle without points, on cell lines [m].
     overlap : Overlap, optional
-        Ring of reduced weight. A point belongs to it by its centre.
+        Ring of reduced weight. A point across a border of the ring has the mean weight of its domain: the ring
+        ends where the atoms do, which is on no cell line, and a gap of light continuum beyond the last atoms
+        would be soft.
 
     Returns
     -------
@@ -161,19 +173,17 @@ def fill_rectangle(
         position = position[~inside]
     if position.shape[0] == 0:
         raise ValueError("hole: covers the whole rectangle, no material point is left")
+    point_size = cell_size / points_per_cell
     weight = np.ones(position.shape[0])
     if overlap is not None:
-        in_outer = np.all(
-            (position > np.asarray(overlap.outer_lower)) & (position < np.asarray(overlap.outer_upper)), axis=1
+        shared = _share_inside(position, point_size, overlap.outer_lower, overlap.outer_upper) - _share_inside(
+            position, point_size, overlap.inner_lower, overlap.inner_upper
         )
-        in_inner = np.all(
-            (position > np.asarray(overlap.inner_lower)) & (position < np.asarray(overlap.inner_upper)), axis=1
-        )
-        weight[in_outer & ~in_inner] = overlap.weight
+        weight -= (1.0 - overlap.weight) * shared
     return Body(
         np.ascontiguousarray(position),
         weight,
-        cell_size / points_per_cell,
+        point_size,
         float(cell_size),
         start,
         start + cell_size * np.array(cells, dtype=np.float64),

@@ -26,9 +26,7 @@ Triple = tuple[float, float, float]
 
 
 @njit(inline="always")
-def gimp_1d(
-    xi: float, half: float, inverse_2l: float, inverse_4l: float
-) -> tuple[int, Triple, Triple]:
+def gimp_1d(xi: float, half: float, inverse_2l: float, inverse_4l: float) -> tuple[int, Triple, Triple]:
     """Nearest node, three weights and three slopes [1/cell] of nodes c-1, c, c+1."""
     centre = int(xi + 0.5)
     d = xi - centre

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,14 +14,15 @@ from .boundary import EdgeCondition, edge_set
 from .crack import Crack, crack_fields, find_near_nodes, follow_crack
 from .errors import SolverError
 from .grid import Grid
-from .material_points import COLUMNS, HXX, HXY, HYX, HYY, MASS, VX, VY, Body, X, Y
+from .material_points import COLUMNS, MASS, VX, VY, Body, X, Y
 from .materials import IsotropicElastic
-from .ordering import drop_lost, reachable_nodes, sort_points
+from .ordering import reachable_nodes, sort_points
+from .point_view import PointView
 from .time_integration import Anchors, Nodes, PointForces, Points, Totals, advance_steps
 from .transfer import point_energies, scatter_momentum
 
-# Largest stable Courant number found by trial for uGIMP MUSL on this grid, with one to three points a cell and
-# direction, at rest and with the body shifted over the grid; see tests/mpm_service/test_stability.py.
+# Largest stable Courant number found by trial for uGIMP MUSL on this grid, with one to three points a
+# cell and direction; 1.0 still held in every trial. See tests/mpm_service/test_mpm_waves.py.
 COURANT_LIMIT = 0.8
 
 FloatArray = NDArray[np.float64]
@@ -33,7 +35,8 @@ class Energies:
     Attributes
     ----------
     kinetic, strain : float
-        Of the material points now.
+        Of the material points now. Velocities lag half a step behind positions, so their sum swings about
+        the true total by the first order of the time step.
     edge_work : float
         Done on the body by edge conditions since step 0.
     interface_work : float
@@ -47,96 +50,6 @@ class Energies:
     edge_work: float
     interface_work: float
     damping_loss: float
-
-
-class PointView:
-    """State of the material points, ordered by stable id (the order of ``Body.position``).
-
-    Every property returns a new array.
-    """
-
-    def __init__(self, solver: MaterialPointSolver) -> None:
-        self._solver = solver
-
-    def _column(self, *columns: int) -> FloatArray:
-        rows = self._solver._points.rows[self._solver._points.row_of]
-        return np.ascontiguousarray(rows[:, columns[0]] if len(columns) == 1 else rows[:, list(columns)])
-
-    @property
-    def count(self) -> int:
-        """Number of points, lost ones included."""
-        return int(self._solver._points.rows.shape[0])
-
-    @property
-    def alive(self) -> NDArray[np.bool_]:
-        """False for points that have left the grid, (n,)."""
-        return self._solver._points.row_of < self._solver._totals.alive[0]
-
-    @property
-    def reference_position(self) -> FloatArray:
-        """Positions at step 0 [m], (n, 2)."""
-        return self._solver.body.position.copy()
-
-    @property
-    def position(self) -> FloatArray:
-        """Positions [m], (n, 2)."""
-        return self._column(X, Y)
-
-    @property
-    def displacement(self) -> FloatArray:
-        """Displacements since step 0 [m], (n, 2)."""
-        return self.position - self._solver.body.position
-
-    @property
-    def velocity(self) -> FloatArray:
-        """Velocities [m/s], (n, 2)."""
-        return self._column(VX, VY)
-
-    @property
-    def displacement_gradient(self) -> FloatArray:
-        """F - I, exact for small strains, (n, 2, 2)."""
-        return self._column(HXX, HXY, HYX, HYY).reshape(-1, 2, 2)
-
-    @property
-    def deformation_gradient(self) -> FloatArray:
-        """F, (n, 2, 2)."""
-        return self.displacement_gradient + np.eye(2)
-
-    @property
-    def strain(self) -> FloatArray:
-        """Small strain of Eq 25: xx, yy, tensor xy, (n, 3)."""
-        h = self.displacement_gradient
-        return np.ascontiguousarray(
-            np.stack([h[:, 0, 0], h[:, 1, 1], 0.5 * (h[:, 0, 1] + h[:, 1, 0])], axis=1)
-        )
-
-    @property
-    def stress(self) -> FloatArray:
-        """Stress of the material, not scaled by the weight: xx, yy, xy [Pa], (n, 3)."""
-        return self._solver.material.stress(self.strain)
-
-    @property
-    def stress_zz(self) -> FloatArray:
-        """Stress across the thickness [Pa], (n,)."""
-        return self._solver.material.stress_zz(self.strain)
-
-    @property
-    def weight(self) -> FloatArray:
-        """Share of mass and stiffness the points carry, (n,)."""
-        return self._solver.body.weight.copy()
-
-    @property
-    def mass(self) -> FloatArray:
-        """Weighted masses [kg], (n,)."""
-        return self._column(MASS)
-
-    @property
-    def volume(self) -> FloatArray:
-        """Current volumes, not scaled by the weight [m^3], (n,) (Eq 29; with the thickness strain)."""
-        f = self.deformation_gradient
-        strain = self.strain
-        thickness = 1.0 - self._solver._law.contraction * (strain[:, 0] + strain[:, 1])
-        return np.linalg.det(f) * thickness * self._solver.thickness * self._solver.body.point_size**2
 
 
 def _array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
@@ -181,8 +94,8 @@ class MaterialPointSolver:
 
     Notes
     -----
-    A step follows Eqs 17-24, with the nodal velocity re-mapped from momenta. After a ``SolverError`` the state
-    is that of a half-done step: restore a saved one.
+    A step follows Eqs 17-24, with the nodal velocity re-mapped from momenta. After a ``SolverError`` the
+    state is that of a half-done step: restore a saved one.
     """
 
     def __init__(
@@ -242,7 +155,7 @@ class MaterialPointSolver:
         self._anchor_ivc = np.zeros(0, dtype=np.int64)
         self._ivc_points: list[NDArray[np.int64]] = []
         self._step = 0
-        self.points = PointView(self)
+        self.points = PointView(body, material, self.thickness, self._points, self._totals.alive)
 
     # ---- what a run can ask ------------------------------------------------------------------------
 
@@ -404,7 +317,9 @@ class MaterialPointSolver:
         low = _array("lower", low, (low.shape[0], 2))
         high = _array("upper", upper, low.shape)
         place = self.body.position
-        cells = [np.flatnonzero(np.all((place >= a) & (place < b), axis=1)) for a, b in zip(low, high, strict=True)]
+        cells = [
+            np.flatnonzero(np.all((place >= a) & (place < b), axis=1)) for a, b in zip(low, high, strict=True)
+        ]
         _check_cells(self._anchor_ivc, cells)
         self._ivc_points = cells
         return np.array([c.size for c in cells], dtype=np.int64)
@@ -439,7 +354,7 @@ class MaterialPointSolver:
             0.0 if anchor_force is None else _array("anchor_force", anchor_force, (count, 2))
         )
         loads = self._point_forces(ivc_force)
-        time = np.arange(self._step - 1, self._step + steps + 1) * self.time_step
+        time = self.time_step * np.arange(self._step - 1, self._step + steps + 1, dtype=np.float64)
         motion = np.zeros((steps + 2, len(self.edge_conditions)))
         for k, condition in enumerate(self.edge_conditions):
             motion[:, k] = condition.displacement(time)
@@ -470,7 +385,7 @@ class MaterialPointSolver:
 
     # ---- saving ------------------------------------------------------------------------------------
 
-    def state(self) -> dict[str, NDArray[np.generic]]:
+    def state(self) -> dict[str, NDArray[Any]]:
         """Everything that changes during a run, as copies; ``restore`` takes it back exactly."""
         return {
             "step": np.array([self._step], dtype=np.int64),
@@ -490,7 +405,7 @@ class MaterialPointSolver:
             "crack_marker_found": self._crack.marker_found.copy(),
         }
 
-    def restore(self, state: dict[str, NDArray[np.generic]]) -> None:
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
         """Take back a state of a solver built and registered alike; the run goes on bit for bit.
 
         Raises
@@ -620,8 +535,8 @@ def _check_fit(grid: Grid, body: Body) -> None:
         offset = (body.lower[axis] - grid.origin[axis]) / h
         if abs(offset - round(offset)) > 1e-6:
             raise ValueError(
-                f"body lower {name} = {body.lower[axis]!r} m is not on a grid line; nearest is "
-                f"{grid.origin[axis] + round(offset) * h!r} m"
+                f"body lower {name} = {float(body.lower[axis])!r} m is not on a grid line; nearest is "
+                f"{float(grid.origin[axis] + round(offset) * h)!r} m"
             )
         low = (body.lower[axis] - grid.lower[axis]) / h
         high = (grid.upper[axis] - body.upper[axis]) / h

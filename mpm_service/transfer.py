@@ -25,9 +25,7 @@ _OPTIONS = {"cache": True, "nogil": True, "fastmath": {"contract", "reassoc", "n
 
 
 @njit(inline="always")
-def _weights(
-    mesh: Mesh, x: float, y: float
-) -> tuple[int, int, Triple, Triple, Triple, Triple]:
+def _weights(mesh: Mesh, x: float, y: float) -> tuple[int, int, Triple, Triple, Triple, Triple]:
     cx, sx, gx = gimp_1d(
         (x - mesh.origin_x) * mesh.inverse_cell, mesh.half_size, mesh.inverse_2l, mesh.inverse_4l
     )
@@ -67,10 +65,19 @@ def scatter_momentum(
     momentum: NDArray[np.float64],
 ) -> None:
     """Nodal mass, momentum and internal force (Eqs 11-14 with uGIMP functions)."""
+    near = crack.near
+    block = crack.block
+    node_local = crack.node_local
+    point_local = crack.point_local
+    base = crack.base
+    length = crack.length
+    tolerance = crack.tolerance
     for p in range(count):
         cx, cy, sx, sy, gx, gy = _weights(mesh, rows[p, X], rows[p, Y])
         mass = rows[p, MASS]
-        txx, tyy, txy, volume = stress_and_volume(law, rows[p, HXX], rows[p, HXY], rows[p, HYX], rows[p, HYY], mass)
+        txx, tyy, txy, volume = stress_and_volume(
+            law, rows[p, HXX], rows[p, HXY], rows[p, HYX], rows[p, HYY], mass
+        )
         scale = -volume * mesh.inverse_cell
         fxx = scale * txx
         fyy = scale * tyy
@@ -78,12 +85,14 @@ def scatter_momentum(
         px = mass * rows[p, VX]
         py = mass * rows[p, VY]
         corner = (cy - 1) * mesh.stride + cx - 1
-        if crack.on and crack.block[corner + mesh.stride + 1]:
-            s = crack.point_local[ids[p], 0]
-            d = crack.point_local[ids[p], 1]
+        if crack.on and block[corner + mesh.stride + 1]:
+            s = point_local[ids[p], 0]
+            d = point_local[ids[p], 1]
             for j in range(3):
                 for i in range(3):
-                    n = field_row(crack, corner + j * mesh.stride + i, s, d)
+                    n = field_row(
+                        near, node_local, base, length, tolerance, corner + j * mesh.stride + i, s, d
+                    )
                     w = sx[i] * sy[j]
                     wx = gx[i] * sy[j]
                     wy = sx[i] * gy[j]
@@ -121,16 +130,32 @@ def scatter_point_forces(
     momentum: NDArray[np.float64],
 ) -> None:
     """Spread forces on the points in rows ``selected`` [N] onto the nodes."""
+    near = crack.near
+    block = crack.block
+    node_local = crack.node_local
+    point_local = crack.point_local
+    base = crack.base
+    length = crack.length
+    tolerance = crack.tolerance
     for k in range(selected.size):
         p = selected[k]
         cx, cy, sx, sy, _, _ = _weights(mesh, rows[p, X], rows[p, Y])
         corner = (cy - 1) * mesh.stride + cx - 1
-        split = crack.on and crack.block[corner + mesh.stride + 1]
+        split = crack.on and block[corner + mesh.stride + 1]
         for j in range(3):
             for i in range(3):
                 n = corner + j * mesh.stride + i
                 if split:
-                    n = field_row(crack, n, crack.point_local[ids[p], 0], crack.point_local[ids[p], 1])
+                    n = field_row(
+                        near,
+                        node_local,
+                        base,
+                        length,
+                        tolerance,
+                        n,
+                        point_local[ids[p], 0],
+                        point_local[ids[p], 1],
+                    )
                 w = sx[i] * sy[j]
                 momentum[n, 3] += w * force[k, 0]
                 momentum[n, 4] += w * force[k, 1]
@@ -152,21 +177,30 @@ def update_points(
     Returns the row of the first point that runs away (more than a cell in a step, or not finite), or -1, and
     the largest position increment [m].
     """
+    near = crack.near
+    block = crack.block
+    node_local = crack.node_local
+    point_local = crack.point_local
+    base = crack.base
+    length = crack.length
+    tolerance = crack.tolerance
     largest = 0.0
     for p in range(count):
         cx, cy, sx, sy, _, _ = _weights(mesh, rows[p, X], rows[p, Y])
         corner = (cy - 1) * mesh.stride + cx - 1
-        split = crack.on and crack.block[corner + mesh.stride + 1]
+        split = crack.on and block[corner + mesh.stride + 1]
         vx = 0.0
         vy = 0.0
         ax = 0.0
         ay = 0.0
         if split:
-            s = crack.point_local[ids[p], 0]
-            d = crack.point_local[ids[p], 1]
+            s = point_local[ids[p], 0]
+            d = point_local[ids[p], 1]
             for j in range(3):
                 for i in range(3):
-                    n = field_row(crack, corner + j * mesh.stride + i, s, d)
+                    n = field_row(
+                        near, node_local, base, length, tolerance, corner + j * mesh.stride + i, s, d
+                    )
                     w = sx[i] * sy[j]
                     vx += w * motion[n, 0]
                     vy += w * motion[n, 1]
@@ -195,11 +229,13 @@ def update_points(
         px = mass * vx
         py = mass * vy
         if split:
-            s = crack.point_local[ids[p], 0]
-            d = crack.point_local[ids[p], 1]
+            s = point_local[ids[p], 0]
+            d = point_local[ids[p], 1]
             for j in range(3):
                 for i in range(3):
-                    n = field_row(crack, corner + j * mesh.stride + i, s, d)
+                    n = field_row(
+                        near, node_local, base, length, tolerance, corner + j * mesh.stride + i, s, d
+                    )
                     w = sx[i] * sy[j]
                     remapped[n, 0] += w * px
                     remapped[n, 1] += w * py
@@ -225,6 +261,13 @@ def deform_points(
     time_step: float,
 ) -> int:
     """Deformation gradient from re-mapped velocities (Eqs 22-24), then the move; returns points that left."""
+    near = crack.near
+    block = crack.block
+    node_local = crack.node_local
+    point_local = crack.point_local
+    base = crack.base
+    length = crack.length
+    tolerance = crack.tolerance
     scale = time_step * mesh.inverse_cell
     high_x = mesh.cells_x - 0.5
     high_y = mesh.cells_y - 0.5
@@ -236,12 +279,14 @@ def deform_points(
         lxy = 0.0
         lyx = 0.0
         lyy = 0.0
-        if crack.on and crack.block[corner + mesh.stride + 1]:
-            s = crack.point_local[ids[p], 0]
-            d = crack.point_local[ids[p], 1]
+        if crack.on and block[corner + mesh.stride + 1]:
+            s = point_local[ids[p], 0]
+            d = point_local[ids[p], 1]
             for j in range(3):
                 for i in range(3):
-                    n = field_row(crack, corner + j * mesh.stride + i, s, d)
+                    n = field_row(
+                        near, node_local, base, length, tolerance, corner + j * mesh.stride + i, s, d
+                    )
                     wx = gx[i] * sy[j]
                     wy = sx[i] * gy[j]
                     lxx += wx * remapped[n, 0]
@@ -290,7 +335,11 @@ def point_energies(rows: NDArray[np.float64], count: int, law: Law) -> tuple[flo
     for p in range(count):
         mass = rows[p, MASS]
         kinetic += 0.5 * mass * (rows[p, VX] * rows[p, VX] + rows[p, VY] * rows[p, VY])
-        txx, tyy, txy, _ = stress_and_volume(law, rows[p, HXX], rows[p, HXY], rows[p, HYX], rows[p, HYY], mass)
+        txx, tyy, txy, _ = stress_and_volume(
+            law, rows[p, HXX], rows[p, HXY], rows[p, HYX], rows[p, HYY], mass
+        )
         exy = 0.5 * (rows[p, HXY] + rows[p, HYX])
-        strain += 0.5 * mass * law.inverse_density * (txx * rows[p, HXX] + tyy * rows[p, HYY] + 2.0 * txy * exy)
+        strain += (
+            0.5 * mass * law.inverse_density * (txx * rows[p, HXX] + tyy * rows[p, HYY] + 2.0 * txy * exy)
+        )
     return kinetic, strain

@@ -68,7 +68,7 @@ class ArraySpec:
                 "array_finite", "holds {bad} at index {where}; every number must be finite",
                 {"bad": str(value[tuple(where)]), "where": str(where.tolist())},
             )  # fmt: skip
-        return np.ascontiguousarray(value)
+        return np.asarray(value, order="C")
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_plain_validator_function(self.check)
@@ -90,7 +90,8 @@ class ArrayMapSpec:
                     "array_map", "entry {name} must be an array of one of {types}",
                     {"name": str(name), "types": ", ".join(WIRE_TYPES)},
                 )  # fmt: skip
-        return {name: np.ascontiguousarray(array) for name, array in value.items()}
+        # Unlike ascontiguousarray, asarray leaves an array without axes without axes.
+        return {name: np.asarray(array, order="C") for name, array in value.items()}
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_plain_validator_function(self.check)

@@ -120,7 +120,9 @@ class EquilibrateRequest(Message):
     """Bring the atoms to temperature with anchors at rest, then measure the reference force f(t0) of Eq 87."""
 
     steps: Natural = Field(description="steps before the measurement")
-    windows: Count = Field(description="windows of the reference average")
+    windows: Count = Field(
+        description="windows of the reference average; a service takes 8 or more, and may refuse fewer"
+    )
     window_steps: Count = Field(description="M: steps of a window, as in `advance`")
 
 

@@ -118,7 +118,7 @@ class ContinuumConfigured(Message):
         description="reference positions of the material points; rows of all point fields are in this order"
     )
     weight: Annotated[FloatArray, ArraySpec("<f8", ("points",))] = Field(
-        description="`overlap.weight` for points in the ring, 1 elsewhere"
+        description="`overlap.weight` for points in the ring, 1 elsewhere, the mean over its domain for a point across"
     )
 
 

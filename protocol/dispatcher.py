@@ -148,7 +148,7 @@ class Dispatcher:
             if kept is not None:
                 return kept
         except ProtocolError as error:
-            return self._error_frames(error, request, _readable_id(frames) if request is None else request.id)
+            return self._error_frames(error, request or _readable(frames))
         began = time.perf_counter()
         try:
             reply = self._run(request)
@@ -166,7 +166,7 @@ class Dispatcher:
                     hint="ask for less at once or start the service with a larger limit",
                 )
         except ProtocolError as error:
-            answer = self._error_frames(error, request, request.id)
+            answer = self._error_frames(error, request)
         except Exception as error:
             answer = self._error_frames(
                 ProtocolError(
@@ -174,7 +174,6 @@ class Dispatcher:
                     hint="this is a defect of the service; please report it with the traceback",
                 ),
                 request,
-                request.id,
             )  # fmt: skip
         self._keep(request, answer)
         return answer
@@ -281,13 +280,13 @@ class Dispatcher:
         if operation.leads_to is not None:
             self._host.state = "new" if operation.leads_to == "configured" else "failed"
 
-    def _error_frames(self, error: ProtocolError, request: Envelope | None, request_id: str) -> list[Frame]:
+    def _error_frames(self, error: ProtocolError, request: Envelope | None) -> list[Frame]:
         report: ErrorReport = error.report
         if not report.origin:
             report = report.model_copy(update={"origin": self._host.origin})
         return encode(
             Envelope(
-                "error", request.type if request else "", request_id, report.model_dump(),
+                "error", request.type if request else "", request.id if request else UNKNOWN_ID, report.model_dump(),
                 run=request.run if request else "", session=self._host.session, step=request.step if request else 0,
             )
         )  # fmt: skip
@@ -321,12 +320,12 @@ def _short(value: Any) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _readable_id(frames: list[Frame]) -> str:
-    """Return the id of a message that is otherwise wrong, so that its sender knows which one it was."""
+def _readable(frames: list[Frame]) -> Envelope | None:
+    """Return the header of a message that is otherwise wrong, so that its sender knows which one it was."""
     try:
-        return decode([_without_arrays(frames[0])]).id
+        return decode([_without_arrays(frames[0])])
     except Exception:
-        return UNKNOWN_ID
+        return None
 
 
 def _without_arrays(frame: Frame) -> bytes:

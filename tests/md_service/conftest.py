@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+
 from md_service.engine import LammpsEngine
 from md_service.force_fields import force_field
 from md_service.graphene import CrackCut, sheet
-from numpy.typing import NDArray
 
 
 @dataclass

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+
 from md_service.bonds import Bonds
 from md_service.force_fields import force_field
 from md_service.graphene import CrackCut, sheet

@@ -1,7 +1,7 @@
 import pytest
+
 from md_service.force_fields import FORCE_FIELDS, force_field
 from md_service.lammps_library import potentials_folder
-
 
 
 def test_sharp_airebo_changes_two_numbers_of_a_copy_and_nothing_in_the_installed_file(tmp_path):

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+
 from md_service.statistics import block_standard_error, scatter_about_line
 
 

@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from mpm_service import Crack, EdgeCondition, Grid, IsotropicElastic, MaterialPointSolver, Overlap, fill_rectangle
+from mpm_service import (
+    Crack,
+    EdgeCondition,
+    Grid,
+    IsotropicElastic,
+    MaterialPointSolver,
+    Overlap,
+    fill_rectangle,
+)
 from mpm_service.material_points import VX, VY
 
 E, NU, RHO = 2.0e9, 0.3, 1200.0

@@ -63,6 +63,10 @@ def test_reading_and_loading_are_adjoint(crack: Crack | None) -> None:
         force = np.zeros(24)
         force[column] = 1.0
         solver = solver_with(anchors, crack)
+        if crack is not None:  # a hair open: closed faces push but do not pull, which is not linear
+            state = solver.state()
+            state["crack_marker"][:, 1] = 1e-9
+            solver.restore(state)
         solver.advance(1, anchor_force=force.reshape(12, 2))
         response[:, column] = solver.anchor_velocity.ravel()
     scale = np.abs(response).max()

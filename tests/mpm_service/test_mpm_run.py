@@ -98,7 +98,9 @@ def test_points_that_leave_are_counted_and_the_run_goes_on() -> None:
     steps = round(12.5 / (speed * DT))
     solver.advance(steps)
     assert solver.points_lost == 2 * 8 or solver.points_lost == 3 * 8
-    assert np.all(solver.points.alive == (solver.points.reference_position[:, 0] < 4.0 - solver.points_lost / 16))
+    assert np.all(
+        solver.points.alive == (solver.points.reference_position[:, 0] < 4.0 - solver.points_lost / 16)
+    )
     alive = solver.points.alive
     np.testing.assert_allclose(solver.points.velocity[alive, 0], speed, rtol=1e-3)
     solver.advance(1000)
@@ -113,7 +115,9 @@ def test_a_runaway_names_point_place_step_and_knob() -> None:
     row = int(np.flatnonzero(state["ids"] == 17)[0])
     state["rows"][row, VY] = np.nan
     solver.restore(state)
-    with pytest.raises(SolverError, match=r"velocity of material point \d+ at .* step 3.*time_step") as caught:
+    with pytest.raises(
+        SolverError, match=r"velocity of material point \d+ at .* step 3.*time_step"
+    ) as caught:
         solver.advance(5)
     assert caught.value.step == 3
     assert np.hypot(*(np.array(caught.value.position) - solver.points.reference_position[17])) < 3.0
@@ -134,12 +138,18 @@ def test_time_step_above_the_limit_is_refused_with_the_numbers() -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: fill_rectangle((0.0, 0.0), (4.3, 4.0), 1.0), r"upper\[0\] = 4.3 .*nearest allowed value is 4.0"),
+        (
+            lambda: fill_rectangle((0.0, 0.0), (4.3, 4.0), 1.0),
+            r"upper\[0\] = 4.3 .*nearest allowed value is 4.0",
+        ),
         (
             lambda: fill_rectangle((0.0, 0.0), (4.0, 4.0), 1.0, hole=((1.0, 1.2), (2.0, 3.0))),
             r"hole lower\[1\] = 1.2 .*nearest allowed value is 1.0",
         ),
-        (lambda: fill_rectangle((0.0, 0.0), (4.0, 4.0), 1.0, hole=((0.0, 0.0), (4.0, 4.0))), "whole rectangle"),
+        (
+            lambda: fill_rectangle((0.0, 0.0), (4.0, 4.0), 1.0, hole=((0.0, 0.0), (4.0, 4.0))),
+            "whole rectangle",
+        ),
         (lambda: Overlap((1.0, 1.0), (2.0, 2.0), (0.0, 0.0), (3.0, 3.0), 0.0), "weight = 0.0"),
         (lambda: Overlap((1.0, 1.0), (4.0, 2.0), (0.0, 0.0), (3.0, 3.0), 0.5), "axis 0"),
         (lambda: Grid((0.0, 0.0), -1.0, (4, 4)), "cell_size = -1.0"),
@@ -179,3 +189,28 @@ def test_registration_after_the_start_is_refused() -> None:
     solver.advance(1)
     with pytest.raises(ValueError, match="before the first step"):
         solver.register_anchors([[1.0, 1.0]], [0])
+
+
+def test_the_answer_does_not_depend_on_the_unit_of_length() -> None:
+    """The same body measured in units of 2^-32 m: everything scales, down to round-off."""
+    small = 2.0**-32
+    runs = []
+    for unit in (1.0, small):
+        body = fill_rectangle((0.0, 0.0), (8 * unit, 8 * unit), unit)
+        edges = [
+            EdgeCondition("bottom", 1, (0.0, 300 * DT * unit), (0.0, -0.3 * unit)),
+            EdgeCondition("top", 1, (0.0, 300 * DT * unit), (0.0, 0.4 * unit)),
+        ]
+        grid = Grid((-4 * unit, -4 * unit), unit, (16, 16))
+        crack = Crack(((-1.0 * unit, 3.5 * unit), (4.2 * unit, 3.5 * unit)))
+        solver = MaterialPointSolver(grid, body, LAW, unit, DT * unit, edges, crack)
+        solver.register_anchors([[6.5 * unit, 3.2 * unit]], [0])
+        solver.advance(200, anchor_force=[[1e4 * unit**2, 0.0]])
+        runs.append(solver)
+    np.testing.assert_allclose(runs[1].points.stress, runs[0].points.stress, rtol=1e-6, atol=1e-9 * 1e9)
+    np.testing.assert_allclose(runs[1].anchor_displacement / small, runs[0].anchor_displacement, rtol=1e-6)
+    np.testing.assert_allclose(
+        runs[1].crack_opening[1] / small, runs[0].crack_opening[1], rtol=1e-6, atol=1e-9
+    )
+    np.testing.assert_allclose(runs[1].edge_reaction / small**2, runs[0].edge_reaction, rtol=1e-6)
+    assert runs[1].energies().strain / small**3 == pytest.approx(runs[0].energies().strain, rel=1e-6)

@@ -26,8 +26,8 @@ def test_partition_of_unity_and_linear_completeness(points_per_cell: int) -> Non
     assert np.abs(moments - np.eye(2)).max() < 1e-12
 
 
-# Distance of the point right of the nearest node [cells], half domain l = 1/4 (two points a cell): weights and
-# slopes of nodes c-1, c, c+1. At d = 0: S(c) = 1 - l/2, sides l/4. At d = 1/8: sides (l -+ d)^2 / 4l.
+# Distance of the point right of the nearest node [cells], half domain l = 1/4 (two points a cell): weights
+# and slopes of nodes c-1, c, c+1. At d = 0: S(c) = 1 - l/2, sides l/4. At d = 1/8: sides (l -+ d)^2 / 4l.
 # At d >= l the functions are the linear hat.
 HAND_TABLE = [
     (0.0, (0.0625, 0.875, 0.0625), (-0.5, 0.0, 0.5)),
@@ -59,7 +59,10 @@ def test_values_are_the_hat_averaged_over_the_domain() -> None:
     for p in range(place.shape[0]):
         for k in range(9):
             x = GRID.node_positions()[node[p, k]]
-            hats = [np.clip(1.0 - np.abs(place[p, i] + size * sample - x[i]) / GRID.cell_size, 0, None) for i in (0, 1)]
+            hats = [
+                np.clip(1.0 - np.abs(place[p, i] + size * sample - x[i]) / GRID.cell_size, 0, None)
+                for i in (0, 1)
+            ]
             assert abs(weight[p, k] - hats[0].mean() * hats[1].mean()) < 1e-6
             ends = [
                 max(0.0, 1.0 - abs(place[p, 0] + s * size / 2 - x[0]) / GRID.cell_size) for s in (1.0, -1.0)

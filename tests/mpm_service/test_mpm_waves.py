@@ -11,12 +11,17 @@ E, NU, RHO = 1.0e9, 0.3, 1000.0
 
 
 def bar(
-    length: int, height: int, assumption: str, confined: bool, edges: list[EdgeCondition], courant: float = 0.4
+    length: int,
+    height: int,
+    assumption: str,
+    confined: bool,
+    edges: list[EdgeCondition],
+    courant: float = 0.4,
 ) -> MaterialPointSolver:
     law = IsotropicElastic(E, NU, RHO, assumption)  # type: ignore[arg-type]
     body = fill_rectangle((0.0, 0.0), (float(length), float(height)), 1.0)
     grid = Grid((-3.0, -3.0), 1.0, (length + 6, height + 6))
-    sides = [EdgeCondition(edge, 1, (0.0,), (0.0,)) for edge in ("bottom", "top")] if confined else []  # type: ignore[arg-type]
+    sides = [EdgeCondition(edge, 1, (0.0,), (0.0,)) for edge in ("bottom", "top")] if confined else []
     return MaterialPointSolver(grid, body, law, 1.0, courant / law.pressure_wave_speed, [*edges, *sides])
 
 
@@ -31,12 +36,13 @@ def test_front_of_a_confined_bar_travels_with_the_pressure_wave() -> None:
     x = solver.points.reference_position[row, 0]
     strain = solver.points.strain[row, 0]
     assert strain[x < 100].mean() == pytest.approx(1e-6, rel=2e-3)
-    front = np.interp(0.5e-6, strain[x > 120][::-1], x[x > 120][::-1])
+    # Dispersion of the grid turns the step into the integral of an Airy function, which is 1/3 at x = c t.
+    front = np.interp(1e-6 / 3.0, strain[x > 120][::-1], x[x > 120][::-1])
     assert front == pytest.approx(speed * solver.time, rel=0.01)
 
 
 def vibration(solver: MaterialPointSolver, length: float, speed: float) -> tuple[float, float]:
-    """Relative errors of frequency over ten periods of mode 1 (fixed - free), and of the energy at its end."""
+    """Relative errors of frequency over ten periods of mode 1 (fixed - free) and of the final energy."""
     state = solver.state()
     x = solver.points.reference_position[:, 0]
     mode = np.sin(0.5 * np.pi * x / length)
@@ -78,17 +84,24 @@ def test_free_vibration_of_a_plane_stress_bar_with_free_sides() -> None:
 
 def test_energy_gained_is_the_work_of_the_edges() -> None:
     law = IsotropicElastic(E, NU, RHO, "plane_strain")
-    end = 40.0 / law.pressure_wave_speed
-    pull = EdgeCondition("right", 0, (0.0, end), (0.0, 1e-3))
-    errors = []
-    for courant in (0.4, 0.2):
-        solver = bar(40, 2, "plane_strain", True, [EdgeCondition("left", 0, (0.0,), (0.0,)), pull], courant)
-        solver.advance(round(100.0 / courant))
-        energy = solver.energies()
-        errors.append(abs(energy.kinetic + energy.strain - energy.edge_work) / energy.edge_work)
+    end = 160.0 / law.pressure_wave_speed
+    times = np.linspace(0.0, end, 1001)
+    pull = EdgeCondition("right", 0, times, 5e-4 * (1.0 - np.cos(3.0 * np.pi * times / end)))
+    fixed = EdgeCondition("left", 0, (0.0,), (0.0,))
+    worst = []
+    for courant in (0.4, 0.2, 0.1):
+        solver = bar(40, 2, "plane_strain", True, [fixed, pull], courant)
+        off = 0.0
+        for _ in range(16):
+            solver.advance(round(12.0 / courant))
+            energy = solver.energies()
+            off = max(off, abs(energy.kinetic + energy.strain - energy.edge_work))
         assert energy.damping_loss == 0.0
-    assert errors[0] < 0.01
-    assert errors[1] < 0.75 * errors[0]
+        worst.append(off / energy.edge_work)
+    # Velocities lag half a step behind positions, so the balance is off by the first order of the step.
+    assert worst[0] < 0.02
+    assert worst[1] < 0.6 * worst[0]
+    assert worst[2] < 0.6 * worst[1]
 
 
 def test_damping_takes_exactly_what_it_should_from_rigid_motion() -> None:

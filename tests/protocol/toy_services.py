@@ -151,6 +151,9 @@ class ToyContinuum(Toy):
         )
 
     def register(self, request: c.ContinuumRegister) -> c.ContinuumRegistered:
+        outside = ~inside(request.anchor_position, self.request.body)
+        if outside.any():
+            raise bad("anchor_position", f"row {np.flatnonzero(outside)[0]} lies outside the body")
         boxes = zip(request.ivc_lower, request.ivc_upper, strict=True)
         points = [np.flatnonzero(inside_box(self.position, lower, upper)) for lower, upper in boxes]
         for ivc in np.unique(request.anchor_ivc):
@@ -311,18 +314,14 @@ class ToyAtomistic(Toy):
             raise ProtocolError("unsupported", f"windows: more than {MOST_STEPS} steps", field="windows")
         if request.steps:
             self.window(request.steps, self.anchor, rest)
-        means = np.array(
-            [self.per_ivc_and_keep(self.window(request.window_steps, self.anchor, rest)) for _ in range(request.windows)]
-        )
+        forces = np.array([self.window(request.window_steps, self.anchor, rest) for _ in range(request.windows)])
+        self.state["reference"] = forces.mean(axis=0)
+        means = np.array([self.per_ivc(force) for force in forces])
         deviation = means.std(axis=0)
         return a.Equilibrated(
             reference_ivc_force=means.mean(axis=0), reference_ivc_error=deviation / np.sqrt(request.windows),
             window_ivc_deviation=deviation, temperature=0.0,
         )  # fmt: skip
-
-    def per_ivc_and_keep(self, force: np.ndarray) -> np.ndarray:
-        self.state["reference"] = force
-        return self.per_ivc(force)
 
     def advance(self, request: a.AtomisticAdvance) -> a.AtomisticAdvanced:
         if len(request.anchor_position) != len(self.rows):

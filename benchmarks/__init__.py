@@ -1,0 +1,1 @@
+"""Benchmarks: speed beside error, other software measured in the same run."""

@@ -1,0 +1,270 @@
+"""Curves of a run over time, and where its wall time went."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from coordinator.figures import (
+    ANGSTROM,
+    BLUE,
+    ELECTRONVOLT,
+    GREEN,
+    INK,
+    NANONEWTON,
+    ORANGE,
+    PALE,
+    PICOSECOND,
+    PURPLE,
+    RED,
+    SKY,
+    WIDTH,
+    Picture,
+    panels,
+    picture,
+)
+from coordinator.results import Results
+from coordinator.scene import Scene
+from coordinator.summary import Summary
+from protocol.arrays import FloatArray
+
+#: Points of a curve; more are not seen.
+_MOST_POINTS = 3000
+#: Rows of the running mean, as a share of all rows.
+_SMOOTHING = 0.03
+
+#: Series that some figure shows; the others are listed.
+SHOWN = frozenset(
+    {
+        "time", "continuum_kinetic", "continuum_strain", "continuum_edge_work", "continuum_interface_work",
+        "continuum_damping_loss", "atomistic_potential", "atomistic_kinetic", "spring_energy", "anchor_work",
+        "temperature", "handshake_temperature", "force_sum_x", "force_sum_y", "force_balance", "ivc_error_rms",
+        "ivc_force_rms", "applied_strain", "edge_force", "j_boundary", "crack_tip", "broken_bonds", "longest_bond",
+        "seconds_continuum", "seconds_atomistic", "seconds_exchange",
+    }
+)  # fmt: skip
+
+
+class Curves:
+    """Time series as the figures draw them.
+
+    Parameters
+    ----------
+    results : Results
+        At least two rows.
+    """
+
+    def __init__(self, results: Results) -> None:
+        self._series = results.series
+        self._every = max(1, len(results.step) // _MOST_POINTS)
+        self.time: FloatArray = self._series["time"] / PICOSECOND
+
+    def has(self, *names: str) -> bool:
+        """Whether any of the series is there with a finite value."""
+        return any(name in self._series and np.isfinite(self._series[name]).any() for name in names)
+
+    def get(self, name: str, unit: float = 1.0) -> FloatArray:
+        """Return a series in multiples of `unit`."""
+        value: FloatArray = self._series[name] / unit
+        return value
+
+    def draw(self, axes: Axes, name: str, label: str, colour: str, unit: float = 1.0, dash: str = "-") -> None:
+        """Draw a series, if it is there."""
+        if self.has(name):
+            self.line(axes, self.get(name, unit), label, colour, dash)
+
+    def line(self, axes: Axes, value: FloatArray, label: str, colour: str, dash: str = "-", **more: Any) -> None:
+        """Draw values of every row."""
+        axes.plot(self.time[:: self._every], value[:: self._every], dash, color=colour, label=label, **more)
+
+    def smooth(self, name: str, unit: float = 1.0) -> FloatArray:
+        """Return the centred running mean of a series; at the ends over what is there."""
+        value = self.get(name, unit)
+        good = np.isfinite(value)
+        half = max(1, int(_SMOOTHING * len(value) / 2))
+        kernel = np.ones(2 * half + 1)
+        total = np.convolve(np.where(good, value, 0.0), kernel, mode="full")[half:-half]
+        count = np.convolve(good.astype(float), kernel, mode="full")[half:-half]
+        mean: FloatArray = np.where(count > 0, total / np.maximum(count, 1.0), np.nan)
+        return mean
+
+
+def series_pictures(results: Results, scene: Scene, summary: Summary | None) -> list[Picture]:
+    """Draw all groups of curves that the run has series for."""
+    found: list[Picture | None] = []
+    if len(results.step) >= 2 and "time" in results.series:
+        curves = Curves(results)
+        found = [
+            _load(curves, scene),
+            _crack(curves, scene),
+            _energies(curves),
+            _temperatures(curves, scene),
+            _interface(curves),
+            _errors(curves),
+            _seconds(curves),
+        ]
+    if summary is not None and summary.services:
+        found.append(_services(summary))
+    return [item for item in found if item is not None]
+
+
+def _legend(axes: Axes) -> None:
+    if len(axes.get_legend_handles_labels()[0]) > 0:
+        axes.legend(loc="best", ncols=2)
+
+
+def _load(curves: Curves, scene: Scene) -> Picture | None:
+    if not curves.has("applied_strain", "edge_force"):
+        return None
+    figure, axes = panels(2, 3.4)
+    curves.draw(axes[0], "applied_strain", "applied strain", BLUE, 0.01)
+    axes[0].set_ylabel("applied strain (%)")
+    curves.draw(axes[1], "edge_force", "force", BLUE, NANONEWTON)
+    axes[1].set(ylabel="force of top edge (nN)", xlabel="time (ps)")
+    return picture(figure, "Load", "Strain that the edges apply, and the force of the top edge on the body.")
+
+
+def _crack(curves: Curves, scene: Scene) -> Picture | None:
+    if scene.crack is None or not curves.has("j_boundary", "crack_tip", "broken_bonds"):
+        return None
+    figure, axes = panels(3, 4.6)
+    curves.draw(axes[0], "j_boundary", "J", BLUE)
+    axes[0].set_ylabel("J (J/m²)")
+    if curves.has("crack_tip"):
+        tip = curves.get("crack_tip", ANGSTROM)
+        first = tip[np.isfinite(tip)][0]
+        curves.line(axes[1], tip - first, "tip", RED)
+    axes[1].set_ylabel("tip advance (Å)")
+    curves.draw(axes[2], "broken_bonds", "broken bonds", RED)
+    axes[2].set(ylabel="broken bonds", xlabel="time (ps)")
+    if curves.has("broken_bonds"):
+        broken = curves.get("broken_bonds")
+        more = np.flatnonzero(broken > broken[np.isfinite(broken)][0])
+        if len(more):
+            for panel in axes:
+                panel.axvline(curves.time[more[0]], color=PALE, linewidth=0.9, linestyle="--")
+    caption = "J is estimated from the displacement of the edges (long strip). Dashed: the first bond breaks."
+    return picture(figure, "Crack", caption)
+
+
+def _energies(curves: Curves) -> Picture | None:
+    if not curves.has("continuum_kinetic", "continuum_strain"):
+        return None
+    atoms = curves.has("atomistic_potential", "anchor_work")
+    figure, axes = panels(2 if atoms else 1, 4.4 if atoms else 2.6)
+    for name, label, colour, dash in (
+        ("continuum_strain", "strain energy", BLUE, "-"),
+        ("continuum_kinetic", "kinetic energy", SKY, "-"),
+        ("continuum_edge_work", "work of edges", INK, "--"),
+        ("continuum_interface_work", "work of atoms", ORANGE, "--"),
+        ("continuum_damping_loss", "damping loss", PURPLE, ":"),
+    ):
+        curves.draw(axes[0], name, label, colour, ELECTRONVOLT, dash)
+    axes[0].set_ylabel("continuum (eV)")
+    _legend(axes[0])
+    if atoms:
+        curves.draw(axes[1], "atomistic_potential", "potential, change", RED, ELECTRONVOLT)
+        if curves.has("atomistic_kinetic"):
+            kinetic = curves.get("atomistic_kinetic", ELECTRONVOLT)
+            curves.line(axes[1], kinetic - kinetic[np.isfinite(kinetic)][0], "kinetic, change", ORANGE)
+        curves.draw(axes[1], "spring_energy", "anchor springs", GREEN, ELECTRONVOLT)
+        curves.draw(axes[1], "anchor_work", "work of anchors", INK, ELECTRONVOLT, "--")
+        axes[1].set_ylabel("atoms (eV)")
+        _legend(axes[1])
+    axes[-1].set_xlabel("time (ps)")
+    caption = "Solid lines are energies held, dashed lines work done since the start."
+    return picture(figure, "Energies", caption)
+
+
+def _temperatures(curves: Curves, scene: Scene) -> Picture | None:
+    if scene.atomistic is None or not curves.has("temperature"):
+        return None
+    figure, (axes,) = panels(1, 2.6)
+    for name, label, colour in (
+        ("temperature", "all atoms", BLUE),
+        ("handshake_temperature", "anchored atoms", ORANGE),
+    ):
+        if curves.has(name):
+            curves.line(axes, curves.get(name), "_", colour, alpha=0.28, linewidth=0.7)
+            curves.line(axes, curves.smooth(name), label, colour)
+    axes.axhline(scene.atomistic.temperature, color=INK, linewidth=0.9, linestyle="--", label="asked")
+    axes.set(xlabel="time (ps)", ylabel="temperature (K)")
+    _legend(axes)
+    return picture(figure, "Temperature", "Thin lines are single steps, thick lines their running mean.")
+
+
+def _interface(curves: Curves) -> Picture | None:
+    if not curves.has("force_balance", "force_sum_x", "force_sum_y"):
+        return None
+    figure, axes = panels(2, 3.6)
+    curves.draw(axes[0], "force_sum_x", "x component", BLUE, NANONEWTON)
+    curves.draw(axes[0], "force_sum_y", "y component", ORANGE, NANONEWTON)
+    axes[0].set_ylabel("sum of forces (nN)")
+    _legend(axes[0])
+    if curves.has("force_balance"):
+        balance = curves.get("force_balance")
+        if np.nanmax(balance) > 0:
+            # An exact balance has no place on a logarithmic axis.
+            curves.line(axes[1], np.where(balance > 0, balance, np.nan), "imbalance", RED)
+            axes[1].set_yscale("log")
+    axes[1].set(ylabel="relative imbalance", xlabel="time (ps)")
+    caption = (
+        "Sum of all interface forces on the continuum, and the difference between the sums over cells and over"
+        " anchors, relative to the forces: what is lost in the exchange."
+    )
+    return picture(figure, "Interface force balance", caption)
+
+
+def _errors(curves: Curves) -> Picture | None:
+    if not curves.has("ivc_force_rms", "ivc_error_rms"):
+        return None
+    figure, (axes,) = panels(1, 2.6)
+    for name, label, colour in (
+        ("ivc_force_rms", "force on a cell", BLUE),
+        ("ivc_error_rms", "its standard error", RED),
+    ):
+        if curves.has(name):
+            value = curves.get(name, NANONEWTON)
+            curves.line(axes, np.where(value > 0, value, np.nan), label, colour)
+    axes.set_yscale("log")
+    axes.set(xlabel="time (ps)", ylabel="root mean square (nN)")
+    _legend(axes)
+    caption = "Where the lines meet, thermal noise is as large as what the atoms tell the continuum in one exchange."
+    return picture(figure, "Interface force and its statistical error", caption)
+
+
+def _seconds(curves: Curves) -> Picture | None:
+    names = (
+        ("seconds_atomistic", "atoms", RED),
+        ("seconds_continuum", "continuum", BLUE),
+        ("seconds_exchange", "exchange", PALE),
+    )
+    present = [row for row in names if curves.has(row[0])]
+    if not present:
+        return None
+    figure, (axes,) = panels(1, 2.4)
+    values = [np.nan_to_num(curves.smooth(name, 1e-3)) for name, _, _ in present]
+    axes.stackplot(curves.time, values, labels=[label for _, label, _ in present], colors=[c for _, _, c in present])
+    axes.set(xlabel="time (ps)", ylabel="wall time a step (ms)")
+    axes.margins(x=0)
+    axes.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    return picture(figure, "Wall time of a coupling step", "Running mean, stacked.")
+
+
+def _services(summary: Summary) -> Picture:
+    figure = Figure(figsize=(WIDTH, 0.95 + 0.42 * len(summary.services)), layout="constrained")
+    axes = figure.subplots()
+    names = list(summary.services)
+    left = np.zeros(len(names))
+    for part, colour in (("computing", BLUE), ("sending", ORANGE), ("waiting", "#d5d9de")):
+        value = np.array([getattr(summary.services[name], part) for name in names])
+        axes.barh(names, value, left=left, color=colour, label=part, height=0.55)
+        left += value
+    axes.invert_yaxis()
+    axes.grid(axis="y", visible=False)
+    axes.set(xlabel="wall time (s)")
+    axes.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    return picture(figure, "Wall time by service", "Waiting: the service was idle while others worked.")

@@ -1,0 +1,144 @@
+"""The command `verify`: cases with a known answer, as a table and as JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from coordinator.machine import machine
+from protocol.verification import CASES, CannotRun, Case, Check
+from protocol.version import package_version
+
+
+class UnknownCase(ValueError):
+    """No installed package offers that case."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One row of the answer; a case that cannot run has no check but a reason."""
+
+    case: Case
+    seconds: float
+    check: Check | None = None
+    reason: str = ""
+
+    @property
+    def passed(self) -> bool | None:
+        """True or False; None where the case could not run."""
+        return None if self.check is None else self.check.passed
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the row as the design states it."""
+        row: dict[str, Any] = {"group": self.case.group, "case": self.case.name, "seconds": round(self.seconds, 3)}
+        if self.check is None:
+            return {**row, "passed": None, "reason": self.reason}
+        check = self.check
+        return {
+            **row,
+            "quantity": check.quantity,
+            "value": _finite(check.value),
+            "reference": check.reference,
+            "unit": check.unit,
+            "error": _finite(check.error),
+            "tolerance": check.tolerance,
+            "passed": check.passed,
+            "source": check.source,
+        }
+
+
+def verify_cases(wanted: Sequence[str], json_file: Path | None, console: Console | None = None) -> bool:
+    """Run cases, print a table, write JSON; return whether nothing failed.
+
+    Parameters
+    ----------
+    wanted : sequence of str
+        ``GROUP`` or ``GROUP/CASE``; all cases that are not slow where empty.
+    json_file : Path, optional
+        File for the answer.
+
+    Raises
+    ------
+    UnknownCase
+        Where a name fits no case; the message lists those that there are.
+    """
+    console = console or Console()
+    outcomes: list[Outcome] = []
+    with tempfile.TemporaryDirectory(prefix="scalebridge-verify-") as folder:
+        for case in select(wanted):
+            console.print(f"[dim]{case.group}/{case.name}: {case.summary}[/dim]", highlight=False)
+            outcomes += run_case(case, Path(folder) / f"{case.group}-{case.name}")
+    console.print(_table(outcomes))
+    if json_file is not None:
+        answer = {
+            "scalebridge": package_version(),
+            "machine": machine(),
+            "cases": [outcome.as_json() for outcome in outcomes],
+        }
+        json_file.write_text(json.dumps(answer, indent=2, allow_nan=False) + "\n")
+    return all(outcome.passed is not False for outcome in outcomes)
+
+
+def run_case(case: Case, folder: Path) -> list[Outcome]:
+    """Run one case in its folder."""
+    folder.mkdir(parents=True)
+    began = time.perf_counter()
+    try:
+        checks = case.run(folder)
+    except CannotRun as error:
+        return [Outcome(case, time.perf_counter() - began, reason=str(error))]
+    seconds = time.perf_counter() - began
+    return [Outcome(case, seconds, check) for check in checks]
+
+
+def select(wanted: Sequence[str]) -> list[Case]:
+    """Return the installed cases that the names mean, in a fixed order."""
+    cases = sorted(installed(), key=lambda case: (case.group, case.name))
+    if not wanted:
+        return [case for case in cases if not case.slow]
+    chosen = []
+    for name in wanted:
+        found = [case for case in cases if name in (case.group, f"{case.group}/{case.name}")]
+        if not found:
+            have = ", ".join(f"{case.group}/{case.name}" for case in cases)
+            raise UnknownCase(f"no case {name!r}; there are {have}")
+        chosen += [case for case in found if case not in chosen]
+    return chosen
+
+
+def installed() -> list[Case]:
+    """Return the cases of all installed packages."""
+    return [case for entry in metadata.entry_points(group=CASES) for case in entry.load()]
+
+
+def _table(outcomes: Sequence[Outcome]) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for name in ("case", "quantity", "value", "reference", "unit", "error", "tolerance", "seconds", ""):
+        table.add_column(name, justify="left" if name in ("case", "quantity", "unit", "") else "right")
+    for outcome in outcomes:
+        name, seconds = f"{outcome.case.group}/{outcome.case.name}", f"{outcome.seconds:.1f}"
+        if outcome.check is None:
+            table.add_row(name, outcome.reason, "", "", "", "", "", seconds, "[yellow]not run[/yellow]")
+            continue
+        check = outcome.check
+        limit = ("at most " if check.at_most else "") + f"{check.reference:.6g}"
+        verdict = "[green]passed[/green]" if check.passed else "[bold red]FAILED[/bold red]"
+        table.add_row(
+            name, check.quantity, f"{check.value:.6g}", limit, check.unit, f"{check.error:.2g}",
+            f"{check.tolerance:.2g}", seconds, verdict,
+        )  # fmt: skip
+    return table
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,234 @@
+"""A small valid problem for each role, on which the conformance kit works."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from protocol import atomistic as a
+from protocol import continuum as c
+from protocol.messages import Message, Welcome
+
+#: Steps of one `advance` of the kit.
+STEPS = 5
+
+
+@dataclass(frozen=True)
+class Wrong:
+    """A request that breaks a rule which the types alone do not tell.
+
+    Parameters
+    ----------
+    label : str
+    operation : str
+    paths : tuple of str
+        Fields of which the error may name any.
+    message : Message
+        Made without validation, since it is wrong.
+    """
+
+    label: str
+    operation: str
+    paths: tuple[str, ...]
+    message: Message
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Valid requests in the order in which a coordinator sends them.
+
+    Parameters
+    ----------
+    steps : list of (operation, request)
+        From the state `new` to `ready`.
+    advance : callable
+        From the number of the exchange to the request.
+    whole : list of (operation, request)
+        Requests with every optional field given, to be made wrong one field at a time.
+    wrong : list of Wrong
+    long : (operation, request)
+        Takes many seconds; will be aborted.
+    sizes : dict of str to int
+        Named sizes that are known once the problem is set.
+    """
+
+    steps: list[tuple[str, Message]]
+    advance: Callable[[int], Message]
+    whole: list[tuple[str, Message]]
+    wrong: list[Wrong]
+    long: tuple[str, Message]
+    sizes: dict[str, int]
+
+    def request(self, operation: str) -> Message:
+        """Return the request of an operation of `steps`."""
+        return dict(self.steps)[operation]
+
+
+def continuum_problem() -> Problem:
+    """Return a plate of 12 x 8 cells with a hole, a ring of four IVCs around it and eight anchors."""
+    h = 1e-9
+    body = c.Rectangle(lower=(-6 * h, -4 * h), upper=(6 * h, 4 * h))
+    configure = c.ContinuumConfigure(
+        assumption="plane_stress",
+        thickness=h,
+        body=body,
+        cell_size=h,
+        points_per_cell=2,
+        material=c.IsotropicMaterial(young=1e9, poisson=0.3, density=1e3),
+        overlap=c.Overlap(
+            inner=c.Rectangle(lower=(-h, -h), upper=(h, h)),
+            outer=c.Rectangle(lower=(-2 * h, -2 * h), upper=(2 * h, 2 * h)),
+            weight=0.5,
+        ),
+        edges=[
+            c.EdgeCondition(edge="left", component=0, times=[0.0, 1e-9], displacements=[0.0, 0.0]),
+            c.EdgeCondition(edge="right", component=0, times=[0.0, 1e-9], displacements=[0.0, 0.05 * h]),
+        ],
+        initial_velocity_gradient=(1e6, 0.0, 0.0, 0.0),
+        damping_rate=1e9,
+        time_step=0.1 * h / 1e3,
+    )
+    crack = c.CrackLine(points=[(-7 * h, 2.5 * h), (-4 * h, 2.5 * h)])
+    signs = ((1, 1), (1, -1), (-1, 1), (-1, -1))
+    anchors = [(1.5 * sx * h, 0.5 * sy * h, 0.0) for sx, sy in signs]
+    anchors += [(0.5 * sx * h, 1.5 * sy * h, 0.0) for sx, sy in signs]
+    register = c.ContinuumRegister(
+        anchor_position=np.array(anchors),
+        anchor_ivc=np.array([0, 0, 1, 1, 2, 3, 2, 3]),
+        ivc_lower=h * np.array([[1, -2, -1], [-2, -2, -1], [-1, 1, -1], [-1, -2, -1]], dtype=float),
+        ivc_upper=h * np.array([[2, 2, 1], [-1, 2, 1], [1, 2, 1], [1, -1, 1]], dtype=float),
+    )
+    ivc_force = 1e-11 * np.array([[1, 0.5, 0], [-1, 0.25, 0], [0.5, 1, 0], [-0.5, -1, 0]])
+    anchor_force = 1e-12 * np.arange(24.0).reshape(8, 3)
+
+    def advance(number: int) -> c.ContinuumAdvance:
+        return c.ContinuumAdvance(steps=STEPS, ivc_force=ivc_force * (1 + 0.1 * number))
+
+    def changed(**values: object) -> c.ContinuumConfigure:
+        return configure.model_copy(update=values)
+
+    upside_down = c.Rectangle.model_construct(lower=body.upper, upper=body.lower)
+    edge = configure.edges[0]
+    outside = register.anchor_position.copy()
+    outside[0] = (100 * h, 0.0, 0.0)
+    wrong = [
+        Wrong("body upside down", "configure", ("body.upper", "body.lower"), changed(body=upside_down)),
+        Wrong("time step above the stable one", "configure", ("time_step",), changed(time_step=1e4 * h / 1e3)),
+        Wrong("times that descend", "configure", ("edges.0.times",),
+              changed(edges=[edge.model_copy(update={"times": [1e-9, 0.0]})])),
+        Wrong("more displacements than times", "configure", ("edges.0.displacements", "edges.0.times"),
+              changed(edges=[edge.model_copy(update={"displacements": [0.0, 0.0, 0.0]})])),
+        Wrong("overlap.inner beyond outer", "configure", ("overlap.inner", "overlap.outer"),
+              changed(overlap=configure.overlap.model_copy(update={"inner": body}) if configure.overlap else None)),
+        Wrong("an IVC that is not there", "register", ("anchor_ivc",),
+              register.model_copy(update={"anchor_ivc": register.anchor_ivc + 1})),
+        Wrong("a negative IVC", "register", ("anchor_ivc",),
+              register.model_copy(update={"anchor_ivc": register.anchor_ivc - 1})),
+        Wrong("IVC upside down", "register", ("ivc_upper", "ivc_lower"),
+              register.model_copy(update={"ivc_lower": register.ivc_upper, "ivc_upper": register.ivc_lower})),
+        Wrong("an anchor outside the body", "register", ("anchor_position",),
+              register.model_copy(update={"anchor_position": outside})),
+        Wrong("both forces", "advance", ("anchor_force", "ivc_force"),
+              advance(0).model_copy(update={"anchor_force": anchor_force})),
+    ]  # fmt: skip
+    return Problem(
+        steps=[("configure", configure), ("register", register)],
+        advance=advance,
+        whole=[
+            ("configure", changed(cracks=[crack])),
+            ("register", register),
+            ("advance", advance(0)),
+            ("advance", c.ContinuumAdvance(steps=STEPS, anchor_force=anchor_force)),
+        ],
+        wrong=wrong,
+        long=("advance", c.ContinuumAdvance(steps=1_000_000)),
+        sizes={"anchors": 8, "ivcs": 4, "edges": 2},
+    )
+
+
+def atomistic_configure(welcome: Welcome) -> a.AtomisticConfigure:
+    """Return a small sample of the first material in the first force field that the service names.
+
+    Raises
+    ------
+    ValueError
+        Where the capabilities do not name them.
+    """
+    chosen = {}
+    for name in ("force_fields", "materials"):
+        values = welcome.capabilities.get(name)
+        if not isinstance(values, list) or not values:
+            raise ValueError(f"capabilities.{name} must be a list of at least one name, is {values!r}")
+        chosen[name] = values[0]
+    sizes = [welcome.capabilities.get(f"conformance_sample_{side}", 2e-9) for side in ("width", "height")]
+    width, height = (float(size) if isinstance(size, int | float) else 2e-9 for size in sizes)
+    return a.AtomisticConfigure(
+        force_field=chosen["force_fields"],
+        sample=a.Sample(material=chosen["materials"], width=width, height=height),
+        temperature=100.0,
+        time_step=0.5e-15,
+        seed=7,
+    )
+
+
+def atomistic_problem(configure: a.AtomisticConfigure, built: a.AtomisticConfigured) -> Problem:
+    """Return the rest of the problem, with the atoms near the sample's border anchored in four IVCs."""
+    half = np.abs(built.position[:, :2]).max(axis=0)
+    scaled = built.position[:, :2] / np.where(half > 0, half, 1.0)
+    rows = np.flatnonzero(np.abs(scaled).max(axis=1) > 0.7)
+    _, ivc = np.unique(2 * (scaled[rows, 0] > 0) + (scaled[rows, 1] > 0), return_inverse=True)
+    ivc = ivc.reshape(-1).astype(np.int64)
+    register = a.AtomisticRegister(
+        atom_id=built.atom_id[rows],
+        anchor_position=built.position[rows],
+        anchor_ivc=ivc,
+        stiffness=np.full(len(rows), 30.0),
+        damping_time=1e-13,
+    )
+    equilibrate = a.EquilibrateRequest(steps=20, windows=8, window_steps=STEPS)
+
+    def advance(number: int) -> a.AtomisticAdvance:
+        shift = np.array([1e-13, -0.5e-13, 0.0])
+        return a.AtomisticAdvance(
+            steps=STEPS,
+            anchor_position=register.anchor_position + (number + 1) * shift,
+            anchor_velocity=np.broadcast_to(shift / (STEPS * configure.time_step), (len(rows), 3)).copy(),
+        )
+
+    twice, unknown = register.atom_id.copy(), register.atom_id.copy()
+    twice[1] = twice[0]
+    unknown[0] = built.atom_id.max() + 1
+    stiffness = register.stiffness.copy()
+    stiffness[0] = -1.0
+    other_material = configure.sample.model_copy(update={"material": "no such material"})
+    crack = a.CrackCut(tip_x=0.0, y=0.0)
+    wrong = [
+        Wrong("unknown force field", "configure", ("force_field",),
+              configure.model_copy(update={"force_field": "no such force field"})),
+        Wrong("unknown material", "configure", ("sample.material",),
+              configure.model_copy(update={"sample": other_material})),
+        Wrong("unknown atom", "register", ("atom_id",), register.model_copy(update={"atom_id": unknown})),
+        Wrong("an atom twice", "register", ("atom_id",), register.model_copy(update={"atom_id": twice})),
+        Wrong("negative stiffness", "register", ("stiffness",), register.model_copy(update={"stiffness": stiffness})),
+        Wrong("negative IVC", "register", ("anchor_ivc",), register.model_copy(update={"anchor_ivc": ivc - 1})),
+    ]  # fmt: skip
+    whole_sample = configure.sample.model_copy(update={"lattice_constant": 1.5e-10, "crack": crack})
+    properties = a.PropertiesRequest(
+        force_field=configure.force_field, material=configure.sample.material, temperature=0.0, seed=1
+    )
+    return Problem(
+        steps=[("configure", configure), ("register", register), ("equilibrate", equilibrate)],
+        advance=advance,
+        whole=[
+            ("properties", properties),
+            ("configure", configure.model_copy(update={"sample": whole_sample})),
+            ("register", register),
+            ("equilibrate", equilibrate),
+            ("advance", advance(0)),
+        ],
+        wrong=wrong,
+        long=("equilibrate", equilibrate.model_copy(update={"steps": 1_000_000})),
+        sizes={"atoms": len(built.atom_id), "anchors": len(rows), "ivcs": int(ivc.max()) + 1},
+    )
