@@ -285,8 +285,8 @@ def strain_pictures(results: Results, scene: Scene) -> list[Picture]:
     figure, axes, side, scale = map_axes(*_body_window(scene), bar=True)
     for _, part, size, _ in parts:
         drawn = axes.scatter(
-            part.centre[:, 0] / ANGSTROM, part.centre[:, 1] / ANGSTROM, c=100 * part.yy, marker="s",
-            s=(1.04 * size / ANGSTROM * scale) ** 2, linewidths=0, cmap="RdBu_r", vmin=middle - spread, vmax=middle + spread,
+            part.centre[:, 0] / ANGSTROM, part.centre[:, 1] / ANGSTROM, c=100 * part.yy, marker="s", linewidths=0,
+            s=(1.04 * size / ANGSTROM * scale) ** 2, cmap="RdBu_r", vmin=middle - spread, vmax=middle + spread,
         )  # fmt: skip
     for name in ("inner", "outer"):
         if name in results.interface:

@@ -119,7 +119,7 @@ def map_axes(x: tuple[float, float], y: tuple[float, float], bar: bool) -> tuple
     scale : float
         Points of print (1/72 inch) an Angstrom, for the size of markers.
     """
-    left, right, bottom, top = 0.62, 0.72 if bar else 0.1, 0.42, 0.1
+    left, right, bottom, top = 0.62, 0.88 if bar else 0.1, 0.42, 0.1
     width = WIDTH - left - right
     height = width * (y[1] - y[0]) / (x[1] - x[0])
     if height > 1.25 * width:  # a tall body is drawn narrower, not longer than a screen

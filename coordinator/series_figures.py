@@ -112,8 +112,9 @@ def series_pictures(results: Results, scene: Scene, summary: Summary | None) -> 
 
 
 def _legend(axes: Axes) -> None:
+    """Put the legend above the curves, where it hides none of them."""
     if len(axes.get_legend_handles_labels()[0]) > 0:
-        axes.legend(loc="best", ncols=2)
+        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.1, ncols=3, columnspacing=1.2)
 
 
 def _load(curves: Curves, scene: Scene) -> Picture | None:
@@ -154,7 +155,7 @@ def _energies(curves: Curves) -> Picture | None:
     if not curves.has("continuum_kinetic", "continuum_strain"):
         return None
     atoms = curves.has("atomistic_potential", "anchor_work")
-    figure, axes = panels(2 if atoms else 1, 4.4 if atoms else 2.6)
+    figure, axes = panels(2 if atoms else 1, 4.9 if atoms else 2.8)
     for name, label, colour, dash in (
         ("continuum_strain", "strain energy", BLUE, "-"),
         ("continuum_kinetic", "kinetic energy", SKY, "-"),
@@ -250,7 +251,7 @@ def _seconds(curves: Curves) -> Picture | None:
     axes.stackplot(curves.time, values, labels=[label for _, label, _ in present], colors=[c for _, _, c in present])
     axes.set(xlabel="time (ps)", ylabel="wall time a step (ms)")
     axes.margins(x=0)
-    axes.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    _legend(axes)
     return picture(figure, "Wall time of a coupling step", "Running mean, stacked.")
 
 
@@ -259,12 +260,18 @@ def _services(summary: Summary) -> Picture:
     axes = figure.subplots()
     names = list(summary.services)
     left = np.zeros(len(names))
-    for part, colour in (("computing", BLUE), ("sending", ORANGE), ("waiting", "#d5d9de")):
+    for part, colour in (("computing", BLUE), ("sending", ORANGE), ("waiting", GREEN)):
         value = np.array([getattr(summary.services[name], part) for name in names])
         axes.barh(names, value, left=left, color=colour, label=part, height=0.55)
         left += value
+    rest = np.maximum(summary.wall_seconds - left, 0.0)
+    axes.barh(names, rest, left=left, color="#e6e9ed", label="not called", height=0.55)
     axes.invert_yaxis()
     axes.grid(axis="y", visible=False)
     axes.set(xlabel="wall time (s)")
-    axes.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-    return picture(figure, "Wall time by service", "Waiting: the service was idle while others worked.")
+    axes.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    caption = (
+        "Whole run, preparation included. Waiting: the message was on its way, or the service had no processor."
+        " Not called: the coordinator was busy with others, or wrote files."
+    )
+    return picture(figure, "Wall time by service", caption)

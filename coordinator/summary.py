@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt
 
 from coordinator.results import Results
+from coordinator.series import series_of
 
 Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Status = Literal["finished", "stopped", "interrupted", "failed"]
@@ -23,7 +24,7 @@ class WallTime(BaseModel):
 
     computing: Seconds = Field(description="the service worked")
     sending: Seconds = Field(description="messages were packed, sent and unpacked")
-    waiting: Seconds = Field(description="the service was idle")
+    waiting: Seconds = Field(description="answers were on their way, or the service had no processor")
 
 
 class Summary(BaseModel):
@@ -109,10 +110,10 @@ def measures_of(results: Results) -> tuple[dict[str, float | None], dict[str, st
         ("longest_bond_max", "longest_bond", "max"),
     ):
         array = clean(source)
-        add(name, results.units.get(source, "1"), None if array is None else getattr(array, pick)())
+        add(name, series_of(source).unit, None if array is None else getattr(array, pick)())
     for name in ("applied_strain", "j_boundary", "broken_bonds"):
         array = clean(name)
-        add(f"{name}_end", results.units.get(name, "1"), None if array is None else array[-1])
+        add(f"{name}_end", series_of(name).unit, None if array is None else array[-1])
     tip = clean("crack_tip")
     add("crack_growth", "m", None if tip is None else tip[-1] - tip[0])
     error, force = clean("ivc_error_rms"), clean("ivc_force_rms")

@@ -7,6 +7,8 @@ its own behind the header. A name in the shape is a size that all arrays of that
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -19,6 +21,18 @@ IntArray = NDArray[np.int64]
 
 #: Types that may travel, all little-endian.
 WIRE_TYPES = ("<f8", "<i8", "|u1")
+#: Up to this size the sum of squares is the faster check, and BLAS stays in the calling thread.
+_FEW = 8192
+
+
+def all_finite(values: NDArray[Any]) -> bool:
+    """Return whether no value is NaN or infinite."""
+    if 0 < values.size <= _FEW:
+        # A sum of squares is finite only if each square is; if it is not, a square may just have overflowed.
+        square = float(np.vdot(values, values))
+        if isfinite(square):
+            return True
+    return bool(np.isfinite(values).all())
 
 
 @dataclass(frozen=True)
@@ -39,6 +53,20 @@ class ArraySpec:
     shape: tuple[str | int, ...]
     unit: str = "1"
 
+    @cached_property
+    def _wanted(self) -> np.dtype[Any]:
+        return np.dtype(self.dtype)
+
+    @cached_property
+    def _fixed_sizes(self) -> tuple[tuple[int, int], ...]:
+        """Axis and size where the size is a number."""
+        return tuple((axis, size) for axis, size in enumerate(self.shape) if isinstance(size, int))
+
+    @cached_property
+    def named_sizes(self) -> tuple[tuple[int, str], ...]:
+        """Axis and name where the size is a name."""
+        return tuple((axis, size) for axis, size in enumerate(self.shape) if isinstance(size, str))
+
     def shape_text(self) -> str:
         """Return the shape as it is written in the specification."""
         return "(" + ", ".join(str(size) for size in self.shape) + ("," if len(self.shape) == 1 else "") + ")"
@@ -47,22 +75,24 @@ class ArraySpec:
         """Return `value` as a C-contiguous array of this type, or raise a pydantic error."""
         if not isinstance(value, np.ndarray):
             raise PydanticCustomError("array", "must be an array frame, not a {kind}", {"kind": type(value).__name__})
-        wanted = np.dtype(self.dtype)
+        wanted = self._wanted
         if value.dtype != wanted:
             raise PydanticCustomError(
                 "array_dtype",
                 "has dtype {got}, must have {wanted}",
                 {"got": value.dtype.str, "wanted": self.dtype},
             )
-        fits = value.ndim == len(self.shape) and all(
-            isinstance(size, str) or size == value.shape[axis] for axis, size in enumerate(self.shape)
-        )
+        shape = value.shape
+        fits = len(shape) == len(self.shape)
+        if fits:
+            for axis, size in self._fixed_sizes:
+                fits = fits and shape[axis] == size
         if not fits:
             raise PydanticCustomError(
                 "array_shape", "has shape {got}, must have {wanted}",
                 {"got": str(value.shape), "wanted": self.shape_text()},
             )  # fmt: skip
-        if wanted.kind == "f" and not np.isfinite(value).all():
+        if wanted.kind == "f" and not all_finite(value):
             where = np.argwhere(~np.isfinite(value))[0]
             raise PydanticCustomError(
                 "array_finite", "holds {bad} at index {where}; every number must be finite",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,6 +20,11 @@ MAX_MESSAGE_BYTES = 1 << 30
 MAX_HEADER_BYTES = 1 << 24
 
 Frame = Any  # bytes, memoryview or zmq.Frame buffer
+
+#: One packer for all: a new one takes a large buffer each time. The lock keeps two threads out of it at once.
+_PACKER = msgpack.Packer()
+_PACKING = threading.Lock()
+_DTYPES = {name: np.dtype(name) for name in WIRE_TYPES}
 
 
 class ArrayEntry(BaseModel):
@@ -53,7 +59,7 @@ class Header(BaseModel):
     arrays: list[ArrayEntry] = Field(default_factory=list, max_length=256, description="table of the array frames")
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Envelope:
     """A message as it travels, with its arrays."""
 
@@ -80,15 +86,16 @@ def encode(envelope: Envelope) -> list[Frame]:
     table = []
     frames: list[Frame] = [b""]
     for name, array in envelope.arrays.items():
-        if array.dtype.str not in WIRE_TYPES:
+        dtype = array.dtype.str
+        if dtype not in WIRE_TYPES:
             raise ProtocolError(
                 "malformed_message",
-                f"array {name} has dtype {array.dtype.str}, allowed are {', '.join(WIRE_TYPES)}",
+                f"array {name} has dtype {dtype}, allowed are {', '.join(WIRE_TYPES)}",
             )
         contiguous = np.ascontiguousarray(array)
-        table.append({"name": name, "dtype": array.dtype.str, "shape": list(array.shape), "order": "C"})
+        table.append({"name": name, "dtype": dtype, "shape": list(array.shape), "order": "C"})
         # A memoryview cannot be cast where a size is zero; such a frame is empty.
-        frames.append(contiguous.reshape(-1).view(np.uint8).data if contiguous.size else b"")
+        frames.append(memoryview(contiguous).cast("B") if contiguous.size else b"")
     header = {
         "protocol": list(envelope.protocol),
         "kind": envelope.kind,
@@ -102,7 +109,8 @@ def encode(envelope: Envelope) -> list[Frame]:
         "arrays": table,
     }
     try:
-        frames[0] = msgpack.packb(header)
+        with _PACKING:
+            frames[0] = _PACKER.pack(header)
     except (TypeError, ValueError, OverflowError) as error:
         raise ProtocolError("malformed_message", f"the body of {envelope.type} cannot be packed: {error}") from error
     return frames
@@ -110,7 +118,7 @@ def encode(envelope: Envelope) -> list[Frame]:
 
 def size_of(frames: list[Frame]) -> int:
     """Return the bytes of all frames together."""
-    return sum(memoryview(frame).nbytes for frame in frames)
+    return sum([memoryview(frame).nbytes for frame in frames])
 
 
 def decode(frames: list[Frame]) -> Envelope:
@@ -163,7 +171,7 @@ def _array(entry: ArrayEntry, frame: Frame) -> np.ndarray:
         )
     if entry.order != "C":
         raise ProtocolError("malformed_message", f"order {entry.order!r} is not C", field=where)
-    dtype = np.dtype(entry.dtype)
+    dtype = _DTYPES[entry.dtype]
     count = 1
     for size in entry.shape:
         count *= size
@@ -180,5 +188,5 @@ def _array(entry: ArrayEntry, frame: Frame) -> np.ndarray:
         raise ProtocolError("malformed_message", f"shape {entry.shape}: {error}", field=where) from None
     if not array.flags.aligned:
         array = array.copy()  # compiled solvers need aligned memory; large frames always are
-    array.flags.writeable = False
+    array.setflags(write=False)
     return array

@@ -75,9 +75,8 @@ class Message(BaseModel):
             value = getattr(self, name)
             if value is None or isinstance(spec, ArrayMapSpec):
                 continue
-            for size, length in zip(spec.shape, value.shape, strict=True):
-                if not isinstance(size, str):
-                    continue
+            for axis, size in spec.named_sizes:
+                length = value.shape[axis]
                 first, expected = sizes.setdefault(size, (name, length))
                 if expected != length:
                     raise wrong(name, f"has {length} {size}, but {first} has {expected}")
@@ -85,7 +84,7 @@ class Message(BaseModel):
 
     def plain_values(self) -> dict[str, Any]:
         """Return the fields that are not arrays, as plain values."""
-        return self.model_dump(exclude=set(array_fields(type(self))))
+        return self.model_dump(exclude=_array_names(type(self)))
 
     def array_values(self) -> dict[str, np.ndarray]:
         """Return the arrays by frame name; entry `a` of an array map `f` is named `f.a`."""
@@ -112,7 +111,8 @@ class Message(BaseModel):
         specs = array_fields(cls)
         # An array given in the body, or a plain field given as a frame, is left for the model to refuse: an
         # optional field must not be dropped without a word because it came the wrong way.
-        values = {**body, **{name: array for name, array in arrays.items() if name in cls.model_fields}}
+        known = _field_names(cls)
+        values = {**body, **{name: array for name, array in arrays.items() if name in known}}
         for name, spec in specs.items():
             if isinstance(spec, ArrayMapSpec):
                 start = name + "."
@@ -133,6 +133,16 @@ def array_fields(model: type[BaseModel]) -> dict[str, ArraySpec | ArrayMapSpec]:
             if isinstance(item, ArraySpec | ArrayMapSpec):
                 found[name] = item
     return found
+
+
+@cache
+def _array_names(model: type[BaseModel]) -> set[str]:
+    return set(array_fields(model))
+
+
+@cache
+def _field_names(model: type[BaseModel]) -> frozenset[str]:
+    return frozenset(model.model_fields)
 
 
 class Empty(Message):

@@ -69,7 +69,8 @@ class Proxy:
                 with_shutdown(end)
 
     def close(self) -> None:
-        self._listener.close()
+        # Without shutdown the listener lives on in the thread that waits in accept.
+        with_shutdown(self._listener)
         self.cut()
 
 
