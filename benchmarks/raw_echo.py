@@ -55,7 +55,7 @@ class RawLane(DirectLane):
     def trip(self, values: FloatArray) -> FloatArray:
         """Send the array and return the one that comes back, shape (n, 3)."""
         head = header(values, "request", "0123456789abcdef0123456789abcdef")
-        self._socket.send_multipart([head, values], copy=False)
+        self._socket.send_multipart([head, values.data], copy=False)
         head_frame, frame = self._socket.recv_multipart(copy=False)
         return unpacked(head_frame.buffer, frame.buffer)
 
@@ -64,7 +64,11 @@ class RawLane(DirectLane):
 def raw_lane(folder: Path) -> Iterator[RawLane]:
     """Start the server as a process of its own, with its socket in `folder`."""
     endpoint = f"ipc://{folder / 'raw'}"
-    with helper_process("benchmarks.raw_echo", endpoint), zmq.Context() as context, context.socket(zmq.DEALER) as socket:
+    with (
+        helper_process("benchmarks.raw_echo", endpoint),
+        zmq.Context() as context,
+        context.socket(zmq.DEALER) as socket,
+    ):
         socket.setsockopt(zmq.LINGER, 0)
         socket.connect(endpoint)
         yield RawLane(socket)
@@ -80,7 +84,7 @@ def serve(endpoint: str) -> None:
         identity, head_frame, frame = socket.recv_multipart(copy=False)
         values = unpacked(head_frame.buffer, frame.buffer)
         reply = header(values, "reply", "0123456789abcdef0123456789abcdef")
-        socket.send_multipart([identity.bytes, reply, values], copy=False)
+        socket.send_multipart([identity.bytes, reply, values.data], copy=False)
 
 
 if __name__ == "__main__":

@@ -32,8 +32,9 @@ def write_checkpoint(folder: Path, header: dict[str, Any], state: dict[str, np.n
     """
     new = folder / (NAME + ".new")
     packed = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
+    arrays: dict[str, Any] = {_HEADER: packed, **state}
     with new.open("wb") as file:
-        np.savez(file, **{_HEADER: packed}, **state)
+        np.savez(file, allow_pickle=False, **arrays)
         file.flush()
         os.fsync(file.fileno())
     os.replace(new, folder / NAME)
@@ -54,6 +55,6 @@ def read_checkpoint(folder: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]
         header: dict[str, Any] = json.loads(state.pop(_HEADER).tobytes())
     except FileNotFoundError:
         raise CheckpointError(f"{folder} holds no checkpoint to go on from") from None
-    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
+    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile) as error:
         raise CheckpointError(f"{path} cannot be read: {error}") from None
     return header, state

@@ -172,6 +172,7 @@ class Coupling:
             material.density,
             width,
             scene.time_step,
+            damping_time=scene.handshake.damping_time,
             weight=scene.handshake.weight,
             stiffness_density=self._given_stiffness_density(built.atom_mass),
         )
@@ -393,14 +394,11 @@ class Coupling:
 
     def state(self) -> dict[str, np.ndarray]:
         """Return the state of both services and of the loop, as flat named arrays."""
-        found = {
-            f"continuum.{name}": array
-            for name, array in self._continuum.call("checkpoint", None, CheckpointReply, step=self.step).state.items()
-        }
-        if self._atomistic is not None:
-            atoms = self._atomistic.call("checkpoint", None, CheckpointReply, step=self.step)
-            found.update({f"atomistic.{name}": array for name, array in atoms.state.items()})
-        found["coupling.step"] = np.array([self.step])
+        found: dict[str, np.ndarray] = {"coupling.step": np.array([self.step])}
+        for role, client in self._clients():
+            reply = client.call("checkpoint", None, CheckpointReply, step=self.step)
+            found[f"coupling.{role}_step"] = np.array([reply.step])
+            found.update({f"{role}.{name}": array for name, array in reply.state.items()})
         if self._reaction is not None:
             found["coupling.reaction"] = self._reaction
         start = (self._start_energy, self._start_tip)
@@ -413,11 +411,14 @@ class Coupling:
         self._reaction = state.get("coupling.reaction")
         energy, tip = (None if np.isnan(value) else float(value) for value in state["coupling.start"])
         self._start_energy, self._start_tip = energy, tip
-        for role, client in (("continuum", self._continuum), ("atomistic", self._atomistic)):
-            if client is None:
-                continue
+        for role, client in self._clients():
             own = {name.split(".", 1)[1]: array for name, array in state.items() if name.startswith(role + ".")}
-            client.call("restore", RestoreRequest(step=self.step, state=own), Restored, step=self.step)
+            request = RestoreRequest(step=int(state[f"coupling.{role}_step"][0]), state=own)
+            client.call("restore", request, Restored, step=self.step)
+
+    def _clients(self) -> list[tuple[str, Client]]:
+        both = (("continuum", self._continuum), ("atomistic", self._atomistic))
+        return [(role, client) for role, client in both if client is not None]
 
 
 def _rectangle(corners: Corners) -> Rectangle:

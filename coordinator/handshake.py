@@ -10,7 +10,14 @@ A small weight reflects waves least, since the continuum is then a light carrier
 over; but the springs grow stiff on a light mass, and the staggered exchange, which holds the anchors
 still over a coupling step Dt and applies the averaged force in the next, is stable only while
 
-    Dt omega / 2 < 0.9,    omega^2 = kappa / (w rho).
+    (Dt omega / 2)^2 + Dt / (2 w tau) < 1,    omega^2 = kappa / (w rho),
+
+where tau is the damping time of the atoms against their anchors (the second term is absent without
+damper). It follows from the map of one step of the light continuum against atoms at rest,
+
+    v' = v - Dt (kappa u / (w rho) + v / (w tau)),    u' = u + Dt v',
+
+whose eigenvalues leave the unit circle at -1 where the sum above reaches 1.
 """
 
 from __future__ import annotations
@@ -18,7 +25,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-#: Largest stable Dt omega / 2 of the staggered exchange (theory: 1; measured in one dimension: 0.9).
+#: Largest exchange number that is used (theory: 1; without damper, measured in one dimension: 0.9).
 STABILITY_LIMIT = 0.9
 SMALLEST_WEIGHT = 0.05
 
@@ -38,7 +45,7 @@ class Handshake:
     stiffness_density : float
         Spring stiffness per volume, N/m4.
     exchange_number : float
-        Dt omega / 2; below `STABILITY_LIMIT` the exchange is stable.
+        Square root of the sum above; below `STABILITY_LIMIT` the exchange is stable.
     """
 
     weight: float
@@ -67,12 +74,28 @@ def exact_lambda(weight: float) -> float:
 
 
 def exact_stiffness(weight: float) -> float:
-    """Return kappa L^2 / E for which the far field is exact in statics: 2.878 at w = 1, 913 at w = 0.1."""
+    """Return kappa L^2 / E for which the far field is exact in statics: 2.878 at w = 1, 927 at w = 0.1."""
     return exact_lambda(weight) ** 2 / (1.0 + 1.0 / weight)
 
 
-def exchange_number(stiffness_density: float, weight: float, density: float, coupling_step: float) -> float:
-    """Return Dt omega / 2 of the staggered exchange.
+def exact_weight(stiffness: float) -> float:
+    """Return the weight whose statically exact kappa L^2 / E is `stiffness`, or the nearest one allowed."""
+    low, high = SMALLEST_WEIGHT, 1.0
+    if exact_stiffness(high) >= stiffness:
+        return high
+    while high - low > 1e-6:
+        middle = 0.5 * (low + high)
+        if exact_stiffness(middle) > stiffness:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+def exchange_number(
+    stiffness_density: float, weight: float, density: float, coupling_step: float, damping_time: float | None = None
+) -> float:
+    """Return the square root of (Dt omega / 2)^2 + Dt / (2 w tau).
 
     Parameters
     ----------
@@ -82,8 +105,12 @@ def exchange_number(stiffness_density: float, weight: float, density: float, cou
         Weight of the continuum, and its density at weight 1, kg/m3.
     coupling_step : float
         Dt, s.
+    damping_time : float, optional
+        tau, s; None without damper.
     """
-    return 0.5 * coupling_step * math.sqrt(stiffness_density / (weight * density))
+    spring = 0.25 * coupling_step**2 * stiffness_density / (weight * density)
+    damper = 0.0 if damping_time is None else 0.5 * coupling_step / (weight * damping_time)
+    return math.sqrt(spring + damper)
 
 
 def choose(
@@ -92,6 +119,7 @@ def choose(
     width: float,
     coupling_step: float,
     *,
+    damping_time: float | None = None,
     weight: float | None = None,
     stiffness_density: float | None = None,
 ) -> Handshake:
@@ -105,6 +133,8 @@ def choose(
         L, width of the overlap, m.
     coupling_step : float
         Dt, s.
+    damping_time : float, optional
+        tau, s; None without damper.
     weight, stiffness_density : float, optional
         Values that the scene gives; the other one follows from theory.
 
@@ -116,8 +146,10 @@ def choose(
 
     def made(w: float) -> Handshake:
         kappa = exact_stiffness(w) * young / width**2 if stiffness_density is None else stiffness_density
-        return Handshake(w, kappa, exchange_number(kappa, w, density, coupling_step))
+        return Handshake(w, kappa, exchange_number(kappa, w, density, coupling_step, damping_time))
 
+    if weight is None and stiffness_density is not None:
+        weight = exact_weight(stiffness_density * width**2 / young)
     chosen = made(1.0 if weight is None else weight)
     if weight is None and chosen.exchange_number < STABILITY_LIMIT:
         # The exchange number falls as the weight grows, so the smallest stable weight is a bisection away.
@@ -132,11 +164,11 @@ def choose(
                 low = middle
         chosen = made(high)
     if chosen.exchange_number >= STABILITY_LIMIT:
-        largest = coupling_step * STABILITY_LIMIT / chosen.exchange_number
         raise HandshakeError(
-            f"the exchange is unstable: coupling step {coupling_step * 1e15:.3g} fs with weight {chosen.weight:.3g} and "
-            f"stiffness {chosen.stiffness_density:.3g} N/m4 gives Dt omega / 2 = {chosen.exchange_number:.3g}, allowed is "
-            f"{STABILITY_LIMIT}; take a coupling step of at most {largest * 1e15:.3g} fs (handshake.steps_per_exchange), "
-            "a larger handshake.weight or a smaller handshake.stiffness"
+            f"the exchange is unstable: coupling step {coupling_step * 1e15:.3g} fs, weight {chosen.weight:.3g} and "
+            f"stiffness {chosen.stiffness_density:.3g} N/m4"
+            + (f", damping time {damping_time * 1e15:.3g} fs" if damping_time is not None else "")
+            + f" give an exchange number of {chosen.exchange_number:.3g}, allowed is {STABILITY_LIMIT}; take a smaller "
+            "handshake.steps_per_exchange or handshake.stiffness, a larger handshake.weight or handshake.damping_time"
         )
     return chosen

@@ -44,14 +44,15 @@ def build_interface(
     x = _breaks(inner.lower[0], inner.upper[0], outer.lower[0], outer.upper[0], ivc_size)
     y = _breaks(inner.lower[1], inner.upper[1], outer.lower[1], outer.upper[1], ivc_size)
     if crack_y is not None:
-        y[1 + np.argmin(np.abs(y[1:-1] - crack_y))] = crack_y
+        y = _with_border(y, crack_y, fixed=(inner.lower[1], inner.upper[1], y[0], y[-1]))
     centre = np.array([[0.5 * (a + b), 0.5 * (c + d)] for c, d in pairwise(y) for a, b in pairwise(x)])
     in_ring = ~np.all((centre > inner.lower) & (centre < inner.upper), axis=1)
     number = np.full(len(centre), -1, dtype=np.int64)
     number[in_ring] = np.arange(in_ring.sum())
 
     flat = atoms[:, :2]
-    anchor = np.flatnonzero(~np.all((flat > inner.lower) & (flat < inner.upper), axis=1)).astype(np.int64)
+    # Half-open as the cells are, so that an atom on a border is either inside or in a cell.
+    anchor = np.flatnonzero(~np.all((flat >= inner.lower) & (flat < inner.upper), axis=1)).astype(np.int64)
     # Atoms a little outside the outermost cell line belong to the outermost cells.
     column = np.clip(np.searchsorted(x, flat[anchor, 0], side="right") - 1, 0, len(x) - 2)
     row = np.clip(np.searchsorted(y, flat[anchor, 1], side="right") - 1, 0, len(y) - 2)
@@ -67,6 +68,16 @@ def build_interface(
         ivc_lower=lower[used],
         ivc_upper=upper[used],
     )
+
+
+def _with_border(breaks: FloatArray, place: float, fixed: tuple[float, ...]) -> FloatArray:
+    """Move the border nearest to `place` there; where that one is fixed, as the ring's own are, add a border."""
+    nearest = int(np.argmin(np.abs(breaks - place)))
+    if breaks[nearest] in fixed:
+        return np.unique(np.append(breaks, place))
+    moved = breaks.copy()
+    moved[nearest] = place
+    return moved
 
 
 def _breaks(inner_low: float, inner_high: float, outer_low: float, outer_high: float, size: float) -> FloatArray:

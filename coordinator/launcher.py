@@ -8,7 +8,9 @@ import signal
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import psutil
@@ -17,6 +19,7 @@ from protocol.backend import find
 from protocol.client import Client
 from protocol.errors import ConnectionProblem, ProtocolError
 from protocol.messages import Acknowledged
+from protocol.server import is_gone
 
 #: The path of a Unix socket may have 107 characters; libzmq adds none.
 LONGEST_SOCKET_PATH = 100
@@ -49,6 +52,7 @@ class ServiceProcess:
     folder: Path
     endpoint: str
     process: subprocess.Popen[bytes]
+    _family: set[psutil.Process] = field(default_factory=set)
 
     @property
     def log_path(self) -> Path:
@@ -80,22 +84,30 @@ class ServiceProcess:
 
     def stop(self, client: Client | None) -> None:
         """End the process: ask, then terminate, then kill it with all its children."""
-        tree = _tree(self.process.pid)
+        self.note_family()
         if client is not None and self.process.poll() is None:
             with contextlib.suppress(ConnectionProblem, ProtocolError):
                 client.control.call("shutdown", None, Acknowledged, deadline=1.0)
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self.process.wait(STOP_SECONDS)
+                self._wait(STOP_SECONDS)
         for ask in (psutil.Process.terminate, psutil.Process.kill):
-            alive = [one for one in tree if one.is_running()]
-            for one in alive:
+            for one in self._alive():
                 with contextlib.suppress(psutil.NoSuchProcess):
                     ask(one)
-            if not alive:
-                break
-            psutil.wait_procs(alive, timeout=STOP_SECONDS / 2)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self.process.wait(STOP_SECONDS)
+            self._wait(STOP_SECONDS / 2)
+
+    def note_family(self) -> None:
+        """Remember the process and its descendants: ranks outlive a launcher that was killed."""
+        self._family.update(_tree(self.process.pid))
+
+    def _alive(self) -> list[psutil.Process]:
+        self.process.poll()
+        return [one for one in self._family if not is_gone(one)]
+
+    def _wait(self, seconds: float) -> None:
+        """Wait until the whole family has ended, at most so long."""
+        end = time.monotonic() + seconds
+        while self._alive() and time.monotonic() < end:
+            time.sleep(0.02)
 
 
 class Services:
@@ -135,21 +147,30 @@ class Services:
             )  # fmt: skip
         self.processes[role] = ServiceProcess(role, backend, folder, endpoint, process)
 
-    def connect(self, role: str) -> Client:
+    def connect(self, role: str, watch: Callable[[], None] | None = None) -> Client:
         """Wait until a started service answers `hello`.
+
+        Parameters
+        ----------
+        role : str
+        watch : callable, optional
+            Called while waiting, in the place of `check`; may raise to end the wait.
 
         Raises
         ------
         ServiceDied, ConnectionProblem, ProtocolError
         """
         started = self.processes[role]
-        client = Client.connect(started.endpoint, role, run=self._run, watch=self.check, deadline=READY_SECONDS)
+        client = Client.connect(
+            started.endpoint, role, run=self._run, watch=watch or self.check, deadline=READY_SECONDS
+        )
+        started.note_family()
         self.clients[role] = client
         return client
 
-    def attach(self, role: str, endpoint: str, keys: Path | None) -> Client:
+    def attach(self, role: str, endpoint: str, keys: Path | None, watch: Callable[[], None] | None = None) -> Client:
         """Use a service that runs already, here or on another machine; it is not stopped with the run."""
-        client = Client.connect(endpoint, role, keys=keys, run=self._run, watch=self.check)
+        client = Client.connect(endpoint, role, keys=keys, run=self._run, watch=watch or self.check)
         self.clients[role] = client
         return client
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from coordinator.checkpoint import CheckpointError, read_checkpoint, write_checkpoint
 from coordinator.coupling import Coupling, StepRecord
@@ -21,6 +21,7 @@ from coordinator.output import RunOutput
 from coordinator.scene import Scene, load_scene
 from coordinator.summary import Status as SummaryStatus
 from protocol.atomistic import Properties
+from protocol.backend import find
 from protocol.client import Client
 from protocol.errors import ConnectionProblem, ProtocolError
 from protocol.messages import Acknowledged, Status
@@ -62,19 +63,34 @@ def run_scene(
 
     Raises
     ------
-    SceneError, RunError, CheckpointError
+    SceneError, BackendError, RunError, CheckpointError
         Before anything has started.
     """
     scene = load_scene(scene_path, overrides)
     words = ["scalebridge", "run", str(scene_path), "--out", str(folder)]
     for override in overrides:
         words += ["--set", override]
+    for role, endpoint in (attached or {}).items():
+        words += ["--attach", f"{role}={endpoint}"]
+    if keys is not None:
+        words += ["--keys", str(keys)]
+    for role, (backend, ranks) in _wanted(scene).items():
+        if role not in (attached or {}):
+            find(role, backend).launch_words(ranks)
     run = Run(scene, folder, attached or {}, keys, console or Console(stderr=True), shlex.join(words))
     if resume:
         run.load_checkpoint()
     else:
         set_aside(folder)
     return run.execute()
+
+
+def _wanted(scene: Scene) -> dict[str, tuple[str, int]]:
+    """Return backend and number of ranks of each service that a scene needs, by role."""
+    wanted = {"continuum": (scene.continuum.backend, 1)}
+    if scene.atomistic is not None:
+        wanted["atomistic"] = (scene.atomistic.backend, scene.atomistic.ranks)
+    return wanted
 
 
 def set_aside(folder: Path) -> None:
@@ -146,25 +162,36 @@ class Run:
         resume_command = self._command + " --resume"
         services = Services(self.folder, run_id)
         began = time.perf_counter()
-        status: SummaryStatus = "finished"
+        status: SummaryStatus = "failed"
         sentence, code = "", 0
         with Interruption() as interruption:
             try:
                 self._run(services, output, interruption)
+                status = "finished"
             except Interrupted:
                 status, code = "interrupted", INTERRUPTED_STATUS
                 sentence = f"stopped; go on with: {resume_command}"
             except (ServiceDied, ConnectionProblem, ProtocolError) as error:
-                status, code = "failed", 1
-                sentence = f"failed at step {output.step}: {_guilty(error, services)}"
+                code = 1
+                sentence = f"failed after coupling step {output.step}: {_guilty(error, services)}"
                 if self._state_step >= 0:
-                    sentence += f"\nresults up to step {output.step} are in {self.folder}; go on with: {resume_command}"
+                    sentence += f"\nresults up to step {output.step} are in {self.folder}"
+                    # A solver that failed would fail again: a run goes on exactly as before.
+                    if not isinstance(error, ProtocolError):
+                        sentence += f"; go on with: {resume_command}"
+            except BaseException as error:
+                sentence = f"failed after coupling step {output.step}: {str(error) or type(error).__name__}"
+                raise
             finally:
                 timing = {role: client.timing for role, client in services.clients.items()}
                 services.stop()
                 output.close(status, sentence, time.perf_counter() - began, timing)
         if sentence:
-            self._console.print(sentence, style="bold" if code == INTERRUPTED_STATUS else "bold red", markup=False)
+            # No wrapping: the command in it is there to be copied.
+            self._console.print(
+                sentence, style="bold" if code == INTERRUPTED_STATUS else "bold red", markup=False,
+                highlight=False, soft_wrap=True,
+            )  # fmt: skip
         if status != "interrupted":
             report = output.write_report()
             if report is not None:
@@ -178,6 +205,8 @@ class Run:
             task = progress.add_task("start services", total=None)
 
             def tell(text: str) -> None:
+                if interruption.wanted:
+                    raise Interrupted
                 progress.update(task, description=text, total=None, completed=0)
 
             coupling = self._prepare(services, output, interruption, progress, task, tell)
@@ -228,20 +257,21 @@ class Run:
 
     def _start(self, services: Services, interruption: Interruption) -> None:
         """Start what the scene needs and is not attached; wait until each answers."""
-        scene = self.scene
-        wanted = {"continuum": (scene.continuum.backend, 1)}
-        if scene.atomistic is not None:
-            wanted["atomistic"] = (scene.atomistic.backend, scene.atomistic.ranks)
+
+        def watch() -> None:
+            services.check()
+            if interruption.wanted:
+                raise Interrupted
+
+        wanted = _wanted(self.scene)
         for role, (backend, ranks) in wanted.items():
             if role not in self._attached:
                 services.start(role, backend, ranks)
         for role in wanted:
-            if interruption.wanted:
-                raise Interrupted
             if role in self._attached:
-                services.attach(role, self._attached[role], self._keys)
+                services.attach(role, self._attached[role], self._keys, watch)
             else:
-                services.connect(role)
+                services.connect(role, watch)
 
     def _loop(
         self,
@@ -298,7 +328,6 @@ class _Watch:
         self._interruption = interruption
         self._show = show
         self._last = time.monotonic()
-        self._asked = False
 
     def __call__(self, role: str) -> None:
         self._services.check()
@@ -308,8 +337,8 @@ class _Watch:
         self._last = now
         control: Client = self._services.clients[role].control
         with contextlib.suppress(ConnectionProblem):
-            if self._interruption.wanted and not self._asked:
-                self._asked = True
+            if self._interruption.wanted:
+                # Again at each look: a request that met an operation at its end is forgotten by the next one.
                 control.call("abort", None, Acknowledged)
             status = control.call("status", None, Status, deadline=1.0)
             if status.total:
@@ -347,14 +376,14 @@ def _differences(one: Any, other: Any, path: str = "") -> set[str]:
 
 def _progress(console: Console) -> Progress:
     return Progress(
-        TextColumn("{task.description}"), BarColumn(bar_width=24), TextColumn("{task.percentage:>3.0f} %"),
-        TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(), console=console,
+        TextColumn("{task.description}"), BarColumn(bar_width=12), TextColumn("{task.percentage:>3.0f} %"),
+        TimeRemainingColumn(compact=True), console=console,
     )  # fmt: skip
 
 
 def _progress_text(coupling: Coupling, record: StepRecord, scene: Scene) -> str:
     values = record.values
-    parts = [f"step {coupling.step}", f"{coupling.step * scene.time_step * 1e12:.2f} ps"]
+    parts = [f"{coupling.step * scene.time_step * 1e12:.2f} ps"]
     if "applied_strain" in values:
         parts.append(f"strain {values['applied_strain'] * 100:.2f} %")
     if "temperature" in values:

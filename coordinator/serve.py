@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 from protocol.backend import find
-from protocol.server import Server
+from protocol.server import Server, end_with
 
 
 def serve_role(
@@ -44,11 +44,13 @@ def serve_role(
             del arguments[place : place + 2]
         arguments = [word for word in arguments if not word.startswith("--ranks=")]
         os.execvp(words[0], [*words, *arguments])
+    if parent is not None:
+        # From here on, and on every rank: a service that is still being made, or follows rank 0, has no server.
+        end_with(parent)
     folder.mkdir(parents=True, exist_ok=True)
     service = backend.make(folder)
     server = Server(
-        service, endpoint, keys=keys, insecure_public=insecure_public, max_message_bytes=max_message_bytes,
-        parent=parent,
+        service, endpoint, keys=keys, insecure_public=insecure_public, max_message_bytes=max_message_bytes
     )  # fmt: skip
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: server.stop())

@@ -385,6 +385,11 @@ class LammpsEngine:
             For `restore`, of this engine or of one made with the same arguments.
         """
         self._check_alive()
+        state = self._collected_state()
+        self.restore(state)
+        return state
+
+    def _collected_state(self) -> dict[str, NDArray[np.float64]]:
         state = {
             "position": self._atoms.position(),
             "velocity": self._atoms.velocity(),
@@ -400,9 +405,7 @@ class LammpsEngine:
         if self.reference is not None:
             for name, value in vars(self.reference).items():
                 state[f"reference_{name}"] = np.array(value, dtype=np.float64)
-        state = {name: np.array(value, dtype=np.float64) for name, value in state.items()}
-        self.restore(state)
-        return state
+        return {name: np.array(value, dtype=np.float64) for name, value in state.items()}
 
     def restore(self, state: dict[str, NDArray[np.float64]]) -> None:
         """Go back to a state.
@@ -422,6 +425,10 @@ class LammpsEngine:
         missing = [name for name in _STATE_ARRAYS if name not in state]
         if missing:
             raise ValueError(f"state lacks {', '.join(missing)}; only what the method state answers can be restored")
+        for name, mine in self._collected_state().items():
+            # The history grows with the run; all else has the shape that sample and anchors give it.
+            if name != "history" and name in state and np.shape(state[name]) != mine.shape:
+                raise ValueError(f"state.{name} has shape {np.shape(state[name])}, must have {mine.shape}")
         shape = (self.n_atoms, 3)
         position = finite_array("position", state["position"], shape)
         velocity = finite_array("velocity", state["velocity"], shape)

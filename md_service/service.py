@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,16 @@ from protocol.version import package_version
 
 MATERIALS = ["graphene"]
 FIELDS = ["position", "velocity", "stress"]
+#: Beyond it a seed is no longer exact as a double, in which states travel.
+LARGEST_SEED = 2**53
+#: Names of engine arguments as the messages have them.
+FIELD_NAMES = {
+    "position": "anchor_position",
+    "ivc": "anchor_ivc",
+    "window": "steps",
+    "windows": "windows",
+    "damping": "damping_time",
+}
 
 
 class LammpsService(Service):
@@ -86,8 +97,9 @@ class LammpsService(Service):
         )
 
     def configure(self, request: messages.AtomisticConfigure) -> messages.AtomisticConfigured:
-        """Build the sample and hand it to LAMMPS."""
-        self.close()
+        """Build the sample and hand it to LAMMPS; a request that is refused leaves the old sample as it is."""
+        if request.seed > LARGEST_SEED:
+            raise ProtocolError("bad_field", f"seed {request.seed} is above {LARGEST_SEED}", field="seed")
         force_field = _force_field(request.force_field)
         sample = request.sample
         _check_material("sample.material", sample.material)
@@ -97,6 +109,7 @@ class LammpsService(Service):
             built = sheet(sample.width, sample.height, lattice_constant, crack)
         except ValueError as error:
             raise ProtocolError("bad_field", f"sample: {error}", field="sample") from None
+        self.close()
         settings: dict[str, Any] = {
             "temperature": request.temperature,
             "seed": request.seed,
@@ -105,17 +118,13 @@ class LammpsService(Service):
         }
         try:
             if self._ranks is None:
-                self._engine = LammpsEngine(
-                    self._folder, force_field, built.position, crack=built.crack, **settings
-                )
+                self._engine = LammpsEngine(self._folder, force_field, built.position, crack=built.crack, **settings)
             else:
                 self._engine = ParallelEngine(
                     self._ranks, self._folder, force_field.name, built.position, crack=built.crack, **settings
                 )
-        except EngineError as error:
+        except (EngineError, ValueError) as error:
             raise _failed(error, 0) from error
-        except ValueError as error:
-            raise ProtocolError("bad_field", str(error)) from None
         self._has_crack = crack is not None
         atoms = len(built.position)
         return messages.AtomisticConfigured(
@@ -149,9 +158,7 @@ class LammpsService(Service):
 
         if request.steps:
             self._call(engine.equilibrate, request.steps, progress=heating)
-        reference = self._call(
-            engine.measure_reference, request.windows, request.window_steps, progress=averaging
-        )
+        reference = self._call(engine.measure_reference, request.windows, request.window_steps, progress=averaging)
         return messages.Equilibrated(
             reference_ivc_force=reference.ivc_force,
             reference_ivc_error=reference.ivc_standard_error,
@@ -202,6 +209,9 @@ class LammpsService(Service):
     def restore(self, request: RestoreRequest) -> Restored:
         """Set the state."""
         engine = self._configured()
+        counters = request.state.get("counters")
+        if counters is None or counters.size == 0 or int(counters.flat[0]) != request.step:
+            raise ProtocolError("bad_field", f"step {request.step} is not the step of the state", field="step")
         self._call(engine.restore, request.state)
         return Restored(step=engine.step)
 
@@ -223,7 +233,8 @@ class LammpsService(Service):
         except EngineError as error:
             raise _failed(error, self.step) from error
         except ValueError as error:
-            raise ProtocolError("bad_field", str(error), field=str(error).split(" ", 1)[0]) from None
+            name = re.split(r"[ \[:=]", str(error), maxsplit=1)[0]
+            raise ProtocolError("bad_field", str(error), field=FIELD_NAMES.get(name, name)) from None
 
 
 def make_service(folder: Path) -> LammpsService:
@@ -249,10 +260,8 @@ def _force_field(name: str) -> ForceField:
 
 def _check_material(field: str, name: str) -> None:
     if name not in MATERIALS:
-        raise ProtocolError(
-            "bad_field", f"no material {name!r}; there are {', '.join(MATERIALS)}", field=field
-        )
+        raise ProtocolError("bad_field", f"no material {name!r}; there are {', '.join(MATERIALS)}", field=field)
 
 
-def _failed(error: EngineError, step: int) -> ProtocolError:
+def _failed(error: Exception, step: int) -> ProtocolError:
     return ProtocolError("solver_failed", str(error), step=step)

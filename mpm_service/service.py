@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,16 @@ FIELDS = ["position", "displacement", "velocity", "stress", "weight"]
 MARGIN_CELLS = 3
 #: Steps between two reports of progress.
 CHUNK = 100
+#: Names of solver arguments as the messages have them.
+FIELD_NAMES = {
+    "position": "anchor_position",
+    "ivc": "anchor_ivc",
+    "lower": "ivc_lower",
+    "upper": "ivc_upper",
+    "edge_conditions": "edges",
+    "crack": "cracks",
+    "Crack": "cracks",
+}
 
 
 class MaterialPointService(Service):
@@ -59,11 +70,12 @@ class MaterialPointService(Service):
         """Fill the body with points and make the solver."""
         if len(request.cracks) > 1 or any(len(crack.points) != 2 for crack in request.cracks):
             raise ProtocolError("unsupported", "this backend has at most one straight crack", field="cracks")
+        edges = [EdgeCondition(edge.edge, edge.component, edge.times, edge.displacements) for edge in request.edges]
         try:
-            solver = self._make(request)
+            solver = _make_solver(request, edges)
         except ValueError as error:
-            raise ProtocolError("bad_field", str(error), field=str(error).split(" ", 1)[0].rstrip(":")) from None
-        self._solver = solver
+            raise _bad_field(error) from None
+        self._solver, self._edges, self._time_step = solver, edges, request.time_step
         points = solver.points
         return messages.ContinuumConfigured(
             courant_number=solver.courant_number,
@@ -73,44 +85,6 @@ class MaterialPointService(Service):
             weight=points.weight,
         )
 
-    def _make(self, request: messages.ContinuumConfigure) -> MaterialPointSolver:
-        material = request.material
-        overlap = request.overlap
-        body = fill_rectangle(
-            request.body.lower,
-            request.body.upper,
-            request.cell_size,
-            request.points_per_cell,
-            hole=(overlap.inner.lower, overlap.inner.upper) if overlap else None,
-            overlap=Overlap(
-                overlap.inner.lower, overlap.inner.upper, overlap.outer.lower, overlap.outer.upper, overlap.weight
-            )
-            if overlap
-            else None,
-        )
-        self._edges = [
-            EdgeCondition(edge.edge, edge.component, edge.times, edge.displacements) for edge in request.edges
-        ]
-        self._time_step = request.time_step
-        largest = max((abs(d) for edge in request.edges for d in edge.displacements), default=0.0)
-        margin = MARGIN_CELLS + int(np.ceil(largest / request.cell_size))
-        size = np.asarray(request.body.upper) - np.asarray(request.body.lower)
-        cells = np.round(size / request.cell_size).astype(int) + 2 * margin
-        origin = np.asarray(request.body.lower) - margin * request.cell_size
-        return MaterialPointSolver(
-            Grid(tuple(origin), request.cell_size, (int(cells[0]), int(cells[1]))),
-            body,
-            IsotropicElastic(material.young, material.poisson, material.density, request.assumption),
-            request.thickness,
-            request.time_step,
-            edge_conditions=self._edges,
-            crack=Crack((request.cracks[0].points[0], request.cracks[0].points[1])) if request.cracks else None,
-            damping_rate=request.damping_rate,
-            initial_velocity_gradient=np.reshape(request.initial_velocity_gradient, (2, 2))
-            if request.initial_velocity_gradient is not None
-            else None,
-        )
-
     def register(self, request: messages.ContinuumRegister) -> messages.ContinuumRegistered:
         """Place anchors and interface volume cells."""
         solver = self._configured()
@@ -118,7 +92,7 @@ class MaterialPointService(Service):
             solver.register_anchors(_flat(request.anchor_position), request.anchor_ivc)
             found = solver.register_interface_cells(_flat(request.ivc_lower), _flat(request.ivc_upper))
         except ValueError as error:
-            raise ProtocolError("bad_field", str(error), field=str(error).split(" ", 1)[0].rstrip(":")) from None
+            raise _bad_field(error) from None
         return messages.ContinuumRegistered(points_in_ivc=np.asarray(found, dtype=np.int64))
 
     def advance(self, request: messages.ContinuumAdvance) -> messages.ContinuumAdvanced:
@@ -136,7 +110,7 @@ class MaterialPointService(Service):
         except SolverError as error:
             raise ProtocolError("solver_failed", str(error), step=solver.step) from error
         except ValueError as error:
-            raise ProtocolError("bad_field", str(error), field=str(error).split(" ", 1)[0].rstrip(":")) from None
+            raise _bad_field(error) from None
         energies = solver.energies()
         time = np.array([solver.step * self._time_step])
         return messages.ContinuumAdvanced(
@@ -177,6 +151,9 @@ class MaterialPointService(Service):
     def restore(self, request: RestoreRequest) -> Restored:
         """Set the state."""
         solver = self._configured()
+        step = request.state.get("step")
+        if step is None or step.size == 0 or int(step.flat[0]) != request.step:
+            raise ProtocolError("bad_field", f"step {request.step} is not the step of the state", field="step")
         try:
             solver.restore(request.state)
         except (ValueError, KeyError) as error:
@@ -201,3 +178,45 @@ def _flat(values: FloatArray) -> FloatArray:
 
 def _with_z(values: FloatArray) -> FloatArray:
     return np.column_stack([values, np.zeros(len(values))])
+
+
+def _make_solver(request: messages.ContinuumConfigure, edges: list[EdgeCondition]) -> MaterialPointSolver:
+    """Return the solver of a problem."""
+    material = request.material
+    overlap = request.overlap
+    body = fill_rectangle(
+        request.body.lower,
+        request.body.upper,
+        request.cell_size,
+        request.points_per_cell,
+        hole=(overlap.inner.lower, overlap.inner.upper) if overlap else None,
+        overlap=Overlap(
+            overlap.inner.lower, overlap.inner.upper, overlap.outer.lower, overlap.outer.upper, overlap.weight
+        )
+        if overlap
+        else None,
+    )
+    largest = max((abs(d) for edge in request.edges for d in edge.displacements), default=0.0)
+    margin = MARGIN_CELLS + int(np.ceil(largest / request.cell_size))
+    size = np.asarray(request.body.upper) - np.asarray(request.body.lower)
+    cells = np.round(size / request.cell_size).astype(int) + 2 * margin
+    origin = np.asarray(request.body.lower) - margin * request.cell_size
+    return MaterialPointSolver(
+        Grid(tuple(origin), request.cell_size, (int(cells[0]), int(cells[1]))),
+        body,
+        IsotropicElastic(material.young, material.poisson, material.density, request.assumption),
+        request.thickness,
+        request.time_step,
+        edge_conditions=edges,
+        crack=Crack((request.cracks[0].points[0], request.cracks[0].points[1])) if request.cracks else None,
+        damping_rate=request.damping_rate,
+        initial_velocity_gradient=np.reshape(request.initial_velocity_gradient, (2, 2))
+        if request.initial_velocity_gradient is not None
+        else None,
+    )
+
+
+def _bad_field(error: ValueError) -> ProtocolError:
+    """Return the solver's complaint with the field as the messages name it."""
+    name = re.split(r"[ \[:=]", str(error), maxsplit=1)[0]
+    return ProtocolError("bad_field", str(error), field=FIELD_NAMES.get(name, name))

@@ -27,7 +27,9 @@ _FEW = 8192
 
 def all_finite(values: NDArray[Any]) -> bool:
     """Return whether no value is NaN or infinite."""
-    if 0 < values.size <= _FEW:
+    if not values.size:
+        return True
+    if values.size <= _FEW:
         # A sum of squares is finite only if each square is; if it is not, a square may just have overflowed.
         square = float(np.vdot(values, values))
         if isfinite(square):

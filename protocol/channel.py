@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import uuid
 from abc import ABC, abstractmethod
 from pathlib import Path
@@ -13,11 +14,15 @@ from protocol.dispatcher import Dispatcher, Host
 from protocol.frames import Frame
 from protocol.security import CLIENT, SERVER, load_pair, load_public
 from protocol.server import set_heartbeats
+from protocol.socket_frames import receive_frames, send_frames
 
 #: What a channel tells of its link.
 CONNECTED = "connected"
 DISCONNECTED = "disconnected"
 REFUSED = "refused"
+
+#: For so long a reply is waited for before the link is looked at too, ms.
+QUICK_MS = 10
 
 _LINK_EVENTS: dict[int, str] = {
     zmq.EVENT_HANDSHAKE_SUCCEEDED: CONNECTED,
@@ -109,18 +114,31 @@ class ZmqChannel(Channel):
         self._poller = zmq.Poller()
         self._poller.register(self._socket, zmq.POLLIN)
         self._poller.register(self._monitor, zmq.POLLIN)
+        #: Time limit of the socket, ms; None until the first reply has come.
+        self._time_limit: int | None = None
         self._socket.connect(endpoint)
 
     def send(self, frames: list[Frame]) -> None:
         """Send without copying large frames; their arrays must stay as they are until the reply."""
-        self._socket.send_multipart(frames, copy=False)
+        send_frames(self._socket, frames)
 
     def receive(self, seconds: float) -> list[Frame] | None:
         """Return the next reply, or None when `seconds` passed or the link changed."""
-        ready = dict(self._poller.poll(max(0, int(seconds * 1000))))
-        if self._socket in ready:
-            return [frame.buffer for frame in self._socket.recv_multipart(copy=False)]
-        return None
+        milliseconds = max(0, int(seconds * 1000))
+        # A quick reply is taken from the socket itself, which costs less than to look at two sockets first.
+        # Not before the first one: until then the link is what is waited for.
+        if self._time_limit is not None:
+            with contextlib.suppress(zmq.Again):
+                return self._receive(min(QUICK_MS, milliseconds))
+            milliseconds = max(0, milliseconds - QUICK_MS)
+        ready = dict(self._poller.poll(milliseconds))
+        return self._receive(0) if self._socket in ready else None
+
+    def _receive(self, milliseconds: int) -> list[Frame]:
+        if milliseconds != self._time_limit:
+            self._socket.setsockopt(zmq.RCVTIMEO, milliseconds)
+            self._time_limit = milliseconds
+        return receive_frames(self._socket, copied=1)
 
     def link_events(self) -> list[str]:
         """Return what the monitor saw since the last call."""

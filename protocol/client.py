@@ -77,6 +77,8 @@ class Client:
         self._run = run
         self._watch = watch
         self._session = ""
+        self._name = uuid.uuid4().hex
+        self._requests = 0
         self._version = NEWEST
         self._max_message_bytes = MAX_MESSAGE_BYTES
 
@@ -168,7 +170,8 @@ class Client:
         """
         began = time.perf_counter()
         message = request if request is not None else Empty()
-        request_id = uuid.uuid4().hex
+        self._requests += 1
+        request_id = f"{self._name}-{self._requests:x}"
         frames = encode(
             Envelope(
                 "request", operation, request_id, message.plain_values(), message.array_values(), self._run,

@@ -95,7 +95,7 @@ def encode(envelope: Envelope) -> list[Frame]:
         contiguous = np.ascontiguousarray(array)
         table.append({"name": name, "dtype": dtype, "shape": list(array.shape), "order": "C"})
         # A memoryview cannot be cast where a size is zero; such a frame is empty.
-        frames.append(memoryview(contiguous).cast("B") if contiguous.size else b"")
+        frames.append(contiguous.data.cast("B") if contiguous.size else b"")
     header = {
         "protocol": list(envelope.protocol),
         "kind": envelope.kind,

@@ -2,7 +2,7 @@
 
 The work socket is polled by the thread that computes, so a request costs no hop between threads. The
 control thread answers status, abort and shutdown while the solver computes (solvers release the
-interpreter lock), and ends the process when its parent is gone.
+interpreter lock). A third thread ends the process when its parent is gone.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import contextlib
 import logging
 import os
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -24,6 +25,7 @@ from protocol.dispatcher import Dispatcher, Host
 from protocol.frames import MAX_MESSAGE_BYTES
 from protocol.security import AUTHORIZED, SERVER, check_binding, load_pair
 from protocol.service import Service
+from protocol.socket_frames import receive_frames, send_frames
 
 log = logging.getLogger(__name__)
 
@@ -76,7 +78,8 @@ class Server:
     ) -> None:
         check_binding(endpoint, keys, insecure_public)
         self.host = Host(service, max_message_bytes)
-        self._parent = _process(parent)
+        if parent is not None:
+            end_with(parent)
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._sockets: list[zmq.Socket[bytes]] = []
         self._authenticator: ThreadAuthenticator | None = None
@@ -130,13 +133,7 @@ class Server:
         self.host.stopping = True
 
     def _run_control(self) -> None:
-        def done() -> bool:
-            if self._parent is not None and not self._parent.is_running():
-                log.error("the parent process %d is gone: exit", self._parent.pid)
-                os._exit(ORPHANED)
-            return self.host.stopping
-
-        _answer_until(self._control, self.host.control, done)
+        _answer_until(self._control, self.host.control, lambda: self.host.stopping)
 
     def close(self) -> None:
         """Close sockets; replies on their way are given a second."""
@@ -149,17 +146,19 @@ class Server:
 
 
 def _answer_until(socket: zmq.Socket[bytes], dispatcher: Dispatcher, done: Callable[[], bool]) -> None:
+    # A time limit on the socket spares the poll before each message.
+    socket.setsockopt(zmq.RCVTIMEO, POLL_MS)
     while not done():
-        if not socket.poll(POLL_MS):
+        try:
+            identity, *frames = receive_frames(socket, copied=2)
+        except zmq.Again:
             continue
-        identity, *frames = socket.recv_multipart(copy=False)
         # A DEALER may or may not put an empty delimiter first, as REQ does; its reply then has one too.
-        envelope = [identity.bytes]
+        envelope = [identity]
         if len(frames) > 1 and len(frames[0]) == 0:
             frames = frames[1:]
             envelope.append(b"")
-        answer = dispatcher.handle([frame.buffer for frame in frames])
-        socket.send_multipart([*envelope, *answer], copy=False)
+        send_frames(socket, [*envelope, *dispatcher.handle(frames)])
 
 
 def _control_address(endpoint: str) -> str:
@@ -171,13 +170,34 @@ def _control_address(endpoint: str) -> str:
     return f"tcp://{host}:*"
 
 
-def _process(pid: int | None) -> psutil.Process | None:
-    if pid is None:
-        return None
+def end_with(pid: int) -> None:
+    """Let this process exit soon after another one is gone, whatever it does then.
+
+    Parameters
+    ----------
+    pid : int
+        Process id of the other one.
+    """
     try:
-        return psutil.Process(pid)
+        other = psutil.Process(pid)
     except psutil.NoSuchProcess:
         os._exit(ORPHANED)
+
+    def watch() -> None:
+        while not is_gone(other):
+            time.sleep(POLL_MS / 1000)
+        log.error("the parent process %d is gone: exit", pid)
+        os._exit(ORPHANED)
+
+    threading.Thread(target=watch, name="parent", daemon=True).start()
+
+
+def is_gone(process: psutil.Process) -> bool:
+    """Return whether a process has ended, be it that nobody has asked for its exit status yet (a zombie)."""
+    try:
+        return not process.is_running() or bool(process.status() == psutil.STATUS_ZOMBIE)
+    except psutil.NoSuchProcess:
+        return True
 
 
 @contextlib.contextmanager

@@ -45,6 +45,7 @@ class Toy(Service):
         self.seed = 1
         self.configured = False
         self.advances = 0
+        self.most_steps = MOST_STEPS
         #: What a long computation of one request is made of; a test sets it.
         self.compute_first: Any = None
         self.state: dict[str, np.ndarray] = {"step": np.zeros(1, np.int64)}
@@ -58,16 +59,17 @@ class Toy(Service):
         self.random = np.random.default_rng([self.seed, self.step])
 
     def steps(self, count: int, one: Any) -> None:
-        if count > MOST_STEPS:
-            raise ProtocolError("unsupported", f"steps: {count} is more than {MOST_STEPS}", field="steps")
+        if count > self.most_steps:
+            raise ProtocolError("unsupported", f"steps: {count} is more than {self.most_steps}", field="steps")
         self.advances += 1
         if self.compute_first is not None:
             self.compute_first(self)
-        for done in range(count):
-            if done % CHUNK == 0:
-                self.activity.progress(done, count, "stepping")
-            one()
-            self.state["step"][0] += 1
+        with np.errstate(all="ignore"):  # a runaway is reported below, once
+            for done in range(count):
+                if done % CHUNK == 0:
+                    self.activity.progress(done, count, "stepping")
+                one()
+                self.state["step"][0] += 1
         if not all(np.isfinite(array).all() for array in self.state.values()):
             raise ProtocolError("solver_failed", "displacement is not finite; take a smaller time step", step=self.step)
 
@@ -310,8 +312,8 @@ class ToyAtomistic(Toy):
 
     def equilibrate(self, request: a.EquilibrateRequest) -> a.Equilibrated:
         rest = np.zeros_like(self.anchor)
-        if request.windows * request.window_steps > MOST_STEPS:
-            raise ProtocolError("unsupported", f"windows: more than {MOST_STEPS} steps", field="windows")
+        if request.steps + request.windows * request.window_steps > self.most_steps:
+            raise ProtocolError("unsupported", f"windows: more than {self.most_steps} steps", field="windows")
         if request.steps:
             self.window(request.steps, self.anchor, rest)
         forces = np.array([self.window(request.window_steps, self.anchor, rest) for _ in range(request.windows)])
@@ -377,8 +379,10 @@ def main() -> None:
     parser.add_argument("--compute", type=float, default=0.0)
     parser.add_argument("--hold", type=int, default=0)
     parser.add_argument("--keys", type=Path)
+    parser.add_argument("--most-steps", type=int, default=MOST_STEPS)
     options = parser.parse_args()
     service = TOYS[options.role](options.noise)
+    service.most_steps = options.most_steps
     if options.compute:
         service.compute_first = compute_without_lock(options.compute)
     if options.hold:

@@ -37,8 +37,8 @@ KEPT_IDS = 4096
 BOLTZMANN = 1.380649e-23
 
 SPRING = 60.0  # N/m
-BOND = 3.0e-10  # m
-MASS = 4.0e-26  # kg
+BOND = 2.0e-10  # m
+MASS = 1.8e-26  # kg
 THICKNESS = 3.35e-10  # m
 AREA_PER_ATOM = math.sqrt(3) / 2 * BOND**2
 
@@ -47,7 +47,7 @@ CAPABILITIES = {
     "force_fields": ["harmonic"],
     "materials": ["hexagonal"],
 }
-DTYPES = {"<f8": np.dtype("<f8"), "<i8": np.dtype("<i8"), "|u1": np.dtype("|u1")}
+DTYPES: dict[str, np.dtype[Any]] = {"<f8": np.dtype("<f8"), "<i8": np.dtype("<i8"), "|u1": np.dtype("|u1")}
 
 
 class RequestError(Exception):
@@ -58,6 +58,10 @@ class RequestError(Exception):
         self.body: dict[str, Any] = {"code": code, "sentence": sentence, "field": field, "origin": f"{ROLE} {BACKEND}"}
         if step is not None:
             self.body["step"] = step
+
+
+def dotted(version: list[int]) -> str:
+    return f"{version[0]}.{version[1]}"
 
 
 def bad(field: str, sentence: str) -> RequestError:
@@ -128,7 +132,7 @@ class HarmonicLattice:
     ) -> None:
         """Tie atom `rows[i]` to `position[i]`, instead of all anchors before."""
         self.tied = np.asarray(rows, dtype=np.int64)
-        self.rest, self.held, self.carried = position, position.copy(), np.zeros_like(position)
+        self.held, self.carried = position, np.zeros_like(position)
         self.ivc, self.ivcs = ivc, int(ivc.max()) + 1 if len(ivc) else 0
         self.stiffness = stiffness[:, None]
         self.friction = MASS / damping_time if damping_time else 0.0
@@ -413,7 +417,7 @@ class Service:
         if version < oldest or version < VERSION:
             raise RequestError(
                 "version_mismatch",
-                f"the client speaks {oldest} to {newest}, this service speaks {VERSION} to {VERSION}",
+                f"the client speaks {dotted(oldest)} to {dotted(newest)}, this service speaks {dotted(VERSION)} only",
                 "versions",
             )
         if role != ROLE:
@@ -477,7 +481,7 @@ class Service:
         return {"warnings": []}, arrays | {"atom_mass": np.full(len(solver.ids), MASS)}
 
     def read_register(self, fields: Fields) -> dict[str, Any]:
-        arguments = {
+        arguments: dict[str, Any] = {
             "atom_id": fields.array("atom_id", "<i8", ("anchors",)),
             "anchor_position": fields.array("anchor_position", "<f8", ("anchors", 3)),
             "anchor_ivc": fields.array("anchor_ivc", "<i8", ("anchors",)),
@@ -519,11 +523,10 @@ class Service:
     def do_equilibrate(self, steps: int, windows: int, window_steps: int) -> Reply:
         solver = self.problem
         self.total = steps + windows * window_steps
-        solver.held, solver.carried = solver.rest.copy(), np.zeros_like(solver.rest)
-        solver.reference = np.zeros_like(solver.rest)
+        solver.carried = np.zeros_like(solver.held)
         if steps:
             solver.integrate(steps, self.check)
-        mean, temperature = np.zeros_like(solver.rest), 0.0
+        mean, temperature = np.zeros_like(solver.held), 0.0
         ivc_mean, spread = np.zeros((solver.ivcs, 3)), np.zeros((solver.ivcs, 3))
         for window in range(1, windows + 1):
             force = solver.integrate(window_steps, self.check)
@@ -557,7 +560,7 @@ class Service:
         force = solver.integrate(steps, self.check) - solver.reference
         stretched = anchor_position - in_space(solver.position[solver.tied])
         along = solver.position[solver.bonds[:, 1]] - solver.position[solver.bonds[:, 0]]
-        body = {
+        body: dict[str, Any] = {
             "step": solver.step,
             "temperature": solver.kinetic_temperature(),
             "handshake_temperature": solver.kinetic_temperature(solver.tied),
@@ -635,7 +638,7 @@ class Service:
 
     def run(self, name: str, leads_to: str, states: tuple[str, ...], fields: Fields) -> Reply:
         """Check a request in the order of section 6 and run it."""
-        read = getattr(self, f"read_{name}", lambda fields: {})
+        read: Callable[[Fields], dict[str, Any]] = getattr(self, f"read_{name}", lambda fields: {})
         arguments = read(fields)
         if self.state not in states:
             raise RequestError(
@@ -782,16 +785,16 @@ class Endpoint:
             if frames and len(frames[0]) <= MAX_HEADER:
                 header = read_header(frames[0])
                 echo = readable(header)
-            if sum(map(len, frames)) > MAX_MESSAGE or (frames and len(frames[0]) > MAX_HEADER):
+            if sum(map(len, frames)) > MAX_MESSAGE:
                 raise RequestError("message_too_large", f"the message is larger than {MAX_MESSAGE} bytes")
-            if not frames:
-                raise RequestError("malformed_message", "the message has no header")
+            if not frames or len(frames[0]) > MAX_HEADER:
+                raise RequestError("malformed_message", f"the message has no header of at most {MAX_HEADER} bytes")
             header = check_header(header)
             arrays = read_arrays(header["arrays"], frames[1:])
             if header["type"] != "hello" and header["protocol"][0] != VERSION[0]:
                 raise RequestError(
                     "version_mismatch",
-                    f"the message is of {header['protocol']}, this service speaks {VERSION}",
+                    f"the message is of {dotted(header['protocol'])}, this service speaks {dotted(VERSION)}",
                     "protocol",
                 )
             kept = self.memory.recall(echo)
@@ -831,7 +834,7 @@ class Endpoint:
             if not socket.poll(50):
                 continue
             route, *frames = socket.recv_multipart()
-            delimiter = [b""] if frames and not frames[0] else []
+            delimiter = [b""] if len(frames) > 1 and not frames[0] else []
             socket.send_multipart([route, *delimiter, *self.answer(frames[len(delimiter) :])])
         socket.close(linger=2000)
 
