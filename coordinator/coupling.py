@@ -24,6 +24,7 @@ import numpy as np
 from coordinator.handshake import Handshake, choose
 from coordinator.interface import Interface, build_interface
 from coordinator.scene import Corners, Scene
+from coordinator.strip import strip_j
 from protocol import atomistic as a
 from protocol import continuum as c
 from protocol.arrays import FloatArray
@@ -333,18 +334,10 @@ class Coupling:
         found["applied_strain"] = strain
         found["edge_force"] = float(top[1])
         if self.scene.crack is not None:
-            # Strip of clamped edges, long crack (Rivlin and Thomas 1953): what is released is the energy
-            # density far ahead of the tip, times the height.
-            found["j_boundary"] = 0.5 * self._clamped_modulus() * strain**2 * height
+            found["j_boundary"] = strip_j(
+                self.material, self.scene.continuum.assumption, strain, height, sideways_free=("top", 0) not in moved
+            )
         return found
-
-    def _clamped_modulus(self) -> float:
-        """Return stress over strain along y with no strain along x, Pa."""
-        material = self.material
-        nu = material.poisson
-        if self.scene.continuum.assumption == "plane_stress":
-            return material.young / (1 - nu**2)
-        return material.young * (1 - nu) / ((1 + nu) * (1 - 2 * nu))
 
     def _exchange(self, atoms: a.AtomisticAdvanced) -> dict[str, float]:
         """Return balances and atomistic measures of a step."""

@@ -94,6 +94,8 @@ class ServiceProcess:
                 with contextlib.suppress(psutil.NoSuchProcess):
                     ask(one)
             self._wait(STOP_SECONDS / 2)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self.process.wait(STOP_SECONDS)
 
     def note_family(self) -> None:
         """Remember the process and its descendants: ranks outlive a launcher that was killed."""

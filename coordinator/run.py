@@ -282,12 +282,14 @@ class Run:
         show: Callable[[str], None],
     ) -> None:
         scene = self.scene
+        # A step's time counts from the end of the last one, so frames and checkpoints are in it.
+        ended_at, computed_before = time.perf_counter(), _computing(services)
         while coupling.step < scene.run.steps:
-            began = time.perf_counter()
-            before = _computing(services)
             record = coupling.advance()
-            computed = {role: seconds - before[role] for role, seconds in _computing(services).items()}
-            output.row(coupling, record, computed, time.perf_counter() - began)
+            now, computed = time.perf_counter(), _computing(services)
+            spent = {role: seconds - computed_before[role] for role, seconds in computed.items()}
+            output.row(coupling, record, spent, now - ended_at)
+            ended_at, computed_before = now, computed
             grown = coupling.crack_growth(record)
             stop_after = scene.run.stop_after_crack_growth
             ended = stop_after is not None and grown >= stop_after

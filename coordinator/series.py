@@ -32,7 +32,7 @@ SERIES: dict[str, Series] = {
     "atomistic_kinetic": Series("J", "kinetic energy of the atoms"),
     "spring_energy": Series("J", "energy in the anchor springs"),
     "anchor_work": Series("J", "work done on the springs by moving anchors"),
-    "temperature": Series("K", "temperature of the atoms without an anchor"),
+    "temperature": Series("K", "temperature of all atoms"),
     "handshake_temperature": Series("K", "temperature of the anchored atoms"),
     "force_sum_x": Series("N", "sum of the interface forces, x"),
     "force_sum_y": Series("N", "sum of the interface forces, y"),
@@ -49,7 +49,7 @@ SERIES: dict[str, Series] = {
     "points_lost": Series("1", "material points that left the grid since the start"),
     "seconds_continuum": Series("s", "wall time of the continuum in this step"),
     "seconds_atomistic": Series("s", "wall time of the atoms in this step"),
-    "seconds_exchange": Series("s", "wall time of the exchange in this step"),
+    "seconds_exchange": Series("s", "wall time of the step outside the solvers, writing included"),
 }
 
 

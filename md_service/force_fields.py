@@ -121,12 +121,12 @@ FORCE_FIELDS: Final[dict[str, ForceField]] = {
             "airebo 3.0 0 0",
             "CH.airebo",
             1.397675,
-            (1.9999, 2.00),
+            (2.00 - 1e-8, 2.00),
             trap=(
-                "The bond is cut at 2.0 A within 1e-4 A: its energy at the cut is released at once, so fracture "
-                "starts below the Griffith load, and a bond that stays in that window can blow the run up."
+                "The bond is cut at 2.0 A, before its energy is spent, so fracture starts below the Griffith load: "
+                "read J at the first broken bond as that of this potential with this cut."
             ),
-            replaced=(("rcmin_CC", 1.9999), ("rcmax_CC", 2.0)),
+            replaced=(("rcmin_CC", 2.0 - 1e-8), ("rcmax_CC", 2.0)),
         ),
         _profile("rebo", "rebo", "CH.rebo", 1.420390, (1.70, 2.00)),
         _profile("lcbop", "lcbop", "C.lcbop", 1.419889, (1.70, 2.20)),

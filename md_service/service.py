@@ -163,7 +163,7 @@ class LammpsService(Service):
             reference_ivc_force=reference.ivc_force,
             reference_ivc_error=reference.ivc_standard_error,
             window_ivc_deviation=reference.window_standard_deviation,
-            temperature=reference.temperature_inner,
+            temperature=reference.temperature,
         )
 
     def advance(self, request: messages.AtomisticAdvance) -> messages.AtomisticAdvanced:
@@ -176,7 +176,7 @@ class LammpsService(Service):
             anchor_force=now.anchor_force,
             ivc_force=now.ivc_force,
             ivc_standard_error=now.ivc_standard_error,
-            temperature=now.temperature_inner,
+            temperature=now.temperature,
             handshake_temperature=now.temperature_handshake,
             potential_energy=now.potential_energy,
             kinetic_energy=now.kinetic_energy,

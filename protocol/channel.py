@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import contextlib
 import uuid
 from abc import ABC, abstractmethod
 from pathlib import Path
@@ -23,6 +24,9 @@ REFUSED = "refused"
 
 #: For so long a reply is waited for before the link is looked at too, ms.
 QUICK_MS = 10
+
+#: For so long a send may wait for room, ms.
+SEND_MS = 100
 
 _LINK_EVENTS: dict[int, str] = {
     zmq.EVENT_HANDSHAKE_SUCCEEDED: CONNECTED,
@@ -103,6 +107,7 @@ class ZmqChannel(Channel):
         set_heartbeats(self._socket)
         self._socket.setsockopt(zmq.IDENTITY, uuid.uuid4().hex.encode())
         self._socket.setsockopt(zmq.LINGER, 200)
+        self._socket.setsockopt(zmq.SNDTIMEO, SEND_MS)
         self._socket.setsockopt(zmq.RECONNECT_IVL, 50)
         self._socket.setsockopt(zmq.RECONNECT_IVL_MAX, 1000)
         if keys is not None:
@@ -120,7 +125,10 @@ class ZmqChannel(Channel):
 
     def send(self, frames: list[Frame]) -> None:
         """Send without copying large frames; their arrays must stay as they are until the reply."""
-        send_frames(self._socket, frames)
+        # After a refused handshake the socket has no pipe left and would wait for one for ever. What could
+        # not be sent then needs no error of its own: the events of the link tell why.
+        with contextlib.suppress(zmq.Again):
+            send_frames(self._socket, frames)
 
     def receive(self, seconds: float) -> list[Frame] | None:
         """Return the next reply, or None when `seconds` passed or the link changed."""

@@ -13,7 +13,7 @@ def test_sharp_airebo_changes_two_numbers_of_a_copy_and_nothing_in_the_installed
     assert str(copy) in commands[-1]
     old, new = before.decode().splitlines(), copy.read_text().splitlines()
     changed = [(a.split(), b.split()) for a, b in zip(old, new, strict=True) if a != b]
-    assert changed == [(["1.7", "rcmin_CC"], ["1.9999", "rcmin_CC"])]
+    assert changed == [(["1.7", "rcmin_CC"], ["1.99999999", "rcmin_CC"])]
     assert "2.0\t     rcmax_CC" in copy.read_text()
 
 

@@ -14,6 +14,7 @@ from toy_services import TOYS
 from wire_setup import wire
 
 import protocol
+from protocol.channel import ZmqChannel
 from protocol.client import Client
 from protocol.errors import DeadlineExpired, HandshakeRefused
 from protocol.frames import Envelope, encode
@@ -149,6 +150,20 @@ def test_no_pickle_and_no_code_from_the_wire() -> None:
                 for keyword in node.keywords:
                     is_true = isinstance(keyword.value, ast.Constant) and keyword.value.value is True
                     assert not (keyword.arg == "allow_pickle" and is_true), where
+
+
+def test_a_client_refused_before_it_sends_does_not_wait_for_ever(tmp_path: Path) -> None:
+    """After a refusal libzmq leaves the socket without a pipe; a send that waits for one never ends."""
+    with wire("tcp_curve", tmp_path, TOYS["continuum"]()) as made:
+        assert made.server is not None
+        channel = ZmqChannel(made.server.endpoint)
+        time.sleep(0.5)
+        began = time.monotonic()
+        client = Client(channel, "continuum")
+        with pytest.raises(HandshakeRefused):
+            client.hello(5.0)
+        assert time.monotonic() - began < 2.0
+        client.close()
 
 
 def test_a_refused_client_learns_it_soon(tmp_path: Path) -> None:

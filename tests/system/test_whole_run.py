@@ -1,0 +1,122 @@
+"""Whole runs that nobody disturbs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from conftest import SHORT, STEPS, StartsRuns
+
+from coordinator.kill_resume import END_SECONDS, RUN_SECONDS, SCENE
+from coordinator.results import Results
+
+pytestmark = pytest.mark.timeout(300)
+
+
+@pytest.mark.xdist_group("left-alone")
+def test_a_run_leaves_results_summary_and_report(left_alone: Path) -> None:
+    summary = json.loads((left_alone / "summary.json").read_text())
+    assert (summary["status"], summary["steps"], summary["steps_asked"]) == ("finished", STEPS, STEPS)
+    assert summary["seeds"] == {"run": 7}
+    assert all(spent > 0 for service in summary["services"].values() for spent in service.values())
+    report = (left_alone / "report.html").read_text()
+    assert "Small sheet in a small body" in report and report.rstrip().endswith("</html>")
+    with Results(left_alone / "results.h5") as results:
+        assert results.status == "finished"
+
+
+@pytest.mark.xdist_group("left-alone")
+def test_every_step_is_a_row_with_an_integer_counter_and_balanced_forces(left_alone: Path) -> None:
+    with Results(left_alone / "results.h5") as results:
+        assert results.step.dtype == np.int64
+        assert np.array_equal(results.step, np.arange(1, STEPS + 1))
+        # Counted, not summed: not even the last bit drifts.
+        coupling_step = 10 * results.scene["resolved"]["atomistic"]["time_step"]
+        assert coupling_step == pytest.approx(5e-15, rel=1e-12)
+        assert np.array_equal(results.series["time"], results.step * coupling_step)
+        assert results.series["force_balance"].max() <= 1e-10
+        assert results.series["ivc_force_rms"].min() > 0
+        # The sum over cells that was sent equals the sum that was recorded, in single precision.
+        force = results.interface["force"].sum(axis=1)
+        scale = np.abs(results.interface["force"]).sum(axis=(1, 2))
+        for axis, name in enumerate(("force_sum_x", "force_sum_y")):
+            assert np.all(np.abs(force[:, axis] - results.series[name]) < 1e-6 * scale)
+
+
+@pytest.mark.xdist_group("left-alone")
+def test_frames_are_written_at_the_start_and_every_so_many_steps(left_alone: Path) -> None:
+    wanted = [0, *range(8, STEPS + 1, 8)]
+    with h5py.File(left_alone / "results.h5") as file:
+        assert file["particles/atoms/position/step"][:].tolist() == wanted
+        assert len(file["VTKHDF/Steps/Values"]) == len(wanted)
+
+
+def test_a_scene_without_atoms_starts_one_service_and_a_second_run_keeps_the_first(
+    start: StartsRuns, continuum_scene: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "run"
+    steps = ("--set", "run.steps=40000", "--set", "run.checkpoint_every=1000", "--set", "run.output_every=40000")
+    with start(continuum_scene, folder, *steps) as run:
+        run.wait_for_step(5)
+        assert run.service("continuum") is not None
+        assert run.service("atomistic") is None
+        family = {process.pid for process in run.survivors(0.0)}
+        assert len(family) == 2
+    code_folder = tmp_path / "whole"
+    for _ in range(2):
+        run = start(continuum_scene, code_folder, *SHORT)
+        assert run.wait(RUN_SECONDS) == 0, run.printed
+        assert run.survivors(END_SECONDS) == []
+    assert {path.name for path in code_folder.glob("services/*")} == {"continuum"}
+    kept = tmp_path / "whole-1"
+    for place in (kept, code_folder):
+        assert json.loads((place / "summary.json").read_text())["status"] == "finished"
+        assert (place / "report.html").exists()
+    with Results(kept / "results.h5") as first, Results(code_folder / "results.h5") as second:
+        assert first.atoms is None and first.interface == {}
+        for name in first.series.keys() - {"seconds_continuum", "seconds_exchange"}:
+            assert np.array_equal(first.series[name], second.series[name]), name
+        assert first.series["continuum_strain"][-1] > 0
+
+
+def test_a_folder_too_deep_for_a_socket_still_runs(start: StartsRuns, continuum_scene: Path, tmp_path: Path) -> None:
+    folder = tmp_path / ("deep-" + "x" * 60) / ("deeper-" + "y" * 60) / "run"
+    folder.parent.mkdir(parents=True)
+    run = start(continuum_scene, folder, "--set", "run.steps=3")
+    assert run.wait(RUN_SECONDS) == 0, run.printed
+    assert run.survivors(END_SECONDS) == []
+
+
+def _atoms_at_zero_kelvin(start: StartsRuns, scene: Path, folder: Path, ranks: int) -> np.ndarray:
+    words = ["--set", "atomistic.temperature=0 K", "--set", f"atomistic.ranks={ranks}", "--set", "run.output_every=30"]
+    run = start(scene, folder, *SHORT, *words)
+    assert run.wait(RUN_SECONDS) == 0, run.printed
+    assert run.survivors(END_SECONDS) == []
+    with h5py.File(folder / "results.h5") as file:
+        return np.asarray(file["particles/atoms/position/value"][()])
+
+
+def test_two_ranks_give_the_strain_of_one(start: StartsRuns, small_scene: Path, tmp_path: Path) -> None:
+    one = _atoms_at_zero_kelvin(start, small_scene, tmp_path / "one", 1)
+    two = _atoms_at_zero_kelvin(start, small_scene, tmp_path / "two", 2)
+    moved = one[-1] - one[0]
+    # The applied strain has come to the atoms, and both runs agree on it far better than on nothing.
+    assert np.abs(moved).max() > 1e-3  # angstrom
+    assert np.abs(one - two).max() < 1e-6 * np.abs(moved).max()
+
+
+@pytest.mark.slow
+def test_constants_of_the_continuum_are_measured_where_the_scene_gives_none(start: StartsRuns, tmp_path: Path) -> None:
+    scene = tmp_path / "measured.toml"
+    material = SCENE[SCENE.index("[continuum.material]") : SCENE.index("[[continuum.edges]]")]
+    scene.write_text(SCENE.replace(material, "").replace('temperature = "300 K"', 'temperature = "0 K"'))
+    folder = tmp_path / "run"
+    run = start(scene, folder, "--set", "run.steps=12")
+    assert run.wait(RUN_SECONDS) == 0, run.printed
+    header = json.loads(np.load(folder / "checkpoint.npz")["header"].tobytes())
+    # Tersoff (BNC) graphene at 0 K, thickness 3.35 angstrom: measured once by hand with LAMMPS alone.
+    assert header["properties"]["young"] == pytest.approx(1054e9, rel=5e-3)
+    assert header["properties"]["lattice_constant"] == pytest.approx(1.4388e-10, rel=1e-3)
