@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import contextlib
 import uuid
 from abc import ABC, abstractmethod
 from pathlib import Path
