@@ -71,7 +71,7 @@ def test_a_signal_in_the_loop_saves_the_step_and_says_how_to_go_on(
         assert file["time_series/step"][:].tolist() == list(range(1, last + 1))
 
 
-@pytest.mark.parametrize("to_group", [False, True])
+@pytest.mark.parametrize("to_group", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_signal_during_equilibration_ends_it(
     start: StartsRuns, small_scene: Path, tmp_path: Path, to_group: bool
 ) -> None:
@@ -149,7 +149,7 @@ def test_ranks_that_have_lost_the_proxy_of_their_launcher_end_with_the_run(
     assert ends(run, 2 * END_SECONDS) == 130, run.printed
 
 
-@pytest.mark.parametrize("victim", ["continuum", "atomistic"])
+@pytest.mark.parametrize("victim", [pytest.param("continuum", marks=pytest.mark.slow), "atomistic"])
 def test_a_stopped_service_is_named_and_killed(
     start: StartsRuns, small_scene: Path, tmp_path: Path, victim: str
 ) -> None:
@@ -185,10 +185,11 @@ def test_a_time_step_that_is_too_long_ends_in_a_named_error_with_a_hint(
     start: StartsRuns, small_scene: Path, tmp_path: Path
 ) -> None:
     folder = tmp_path / "run"
-    # Light springs and a slow damper, so that it is not the handshake that objects.
+    # Large cells, light springs and a slow damper, so that it is neither continuum nor handshake that objects.
     words = (
         "atomistic.time_step=20 fs", "atomistic.equilibration=20 ps", "handshake.steps_per_exchange=1",
-        "handshake.weight=1.0", "handshake.damping_time=2 ps",
+        "handshake.weight=1.0", "handshake.damping_time=2 ps", "continuum.cell_size=7.5 angstrom",
+        "handshake.width=7.5 angstrom", "handshake.ivc_size=7.5 angstrom",
     )  # fmt: skip
     run = start(small_scene, folder, *[part for word in words for part in ("--set", word)])
     assert run.wait(RUN_SECONDS) == 1, run.printed
@@ -202,10 +203,10 @@ def test_a_solver_that_fails_in_the_loop_leaves_the_results_up_to_there(
     start: StartsRuns, small_scene: Path, tmp_path: Path
 ) -> None:
     folder = tmp_path / "run"
-    pull = [
-        f"continuum.edges.{edge}.displacements=['0 angstrom', '{side}400 angstrom']"
-        for edge, side in ((0, ""), (1, "-"))
-    ]
+    pull = []
+    for edge, side in ((0, ""), (1, "-")):
+        pull += [f"continuum.edges.{edge}.times=['0 ps', '0.05 ps']"]
+        pull += [f"continuum.edges.{edge}.displacements=['0 angstrom', '{side}20 angstrom']"]
     run = start(small_scene, folder, *LONG, *[part for word in pull for part in ("--set", word)])
     assert run.wait(RUN_SECONDS) == 1, run.printed
     assert run.survivors(END_SECONDS) == []
