@@ -9,7 +9,7 @@ from md_service import units
 from md_service.errors import EngineError
 from md_service.force_fields import CARBON_MASS, ForceField
 from md_service.lammps_library import LammpsSession
-from md_service.parallel import Ranks
+from md_service.ranks import Ranks
 
 _LARGEST_STEP = 0.2  # Angstrom moved in one step: a carbon atom of 100 eV at 0.5 fs
 _KNOBS = "try a smaller time step, softer anchors, or a force field without an abrupt cut-off"

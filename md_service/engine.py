@@ -18,7 +18,7 @@ from md_service.errors import EngineError
 from md_service.force_fields import ForceField
 from md_service.force_fields import force_field as profile_of
 from md_service.graphene import GRAPHENE_THICKNESS, CrackCut, area_per_atom
-from md_service.parallel import OneRank, Ranks
+from md_service.ranks import OneRank, Ranks
 from md_service.results import Advance, Energies, Reference
 from md_service.statistics import HISTORY_LENGTH, MINIMUM_WINDOWS, block_standard_error, scatter_about_line
 

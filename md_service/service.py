@@ -15,7 +15,8 @@ from md_service.engine import LammpsEngine
 from md_service.errors import EngineError
 from md_service.force_fields import CARBON_MASS, FORCE_FIELDS, ForceField
 from md_service.graphene import CrackCut, sheet
-from md_service.parallel import MpiRanks, ParallelEngine, follow
+from md_service.parallel import ParallelEngine, follow
+from md_service.ranks import MpiRanks
 from protocol import atomistic as messages
 from protocol.errors import ProtocolError
 from protocol.messages import CheckpointReply, Empty, FieldsReply, FieldsRequest, Restored, RestoreRequest

@@ -14,7 +14,8 @@ from md_service.elastic_constants import measure_graphene
 from md_service.errors import EngineError
 from md_service.force_fields import force_field
 from md_service.graphene import CrackCut, sheet
-from md_service.parallel import MpiRanks, ParallelEngine, follow
+from md_service.parallel import ParallelEngine, follow
+from md_service.ranks import MpiRanks
 
 ranks = MpiRanks()
 if ranks.rank > 0:
