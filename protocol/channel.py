@@ -138,8 +138,10 @@ class ZmqChannel(Channel):
             with contextlib.suppress(zmq.Again):
                 return self._receive(min(QUICK_MS, milliseconds))
             milliseconds = max(0, milliseconds - QUICK_MS)
-        ready = dict(self._poller.poll(milliseconds))
-        return self._receive(0) if self._socket in ready else None
+        if self._socket in dict(self._poller.poll(milliseconds)):
+            with contextlib.suppress(zmq.Again):  # what made the socket ready may be gone with its link
+                return self._receive(0)
+        return None
 
     def _receive(self, milliseconds: int) -> list[Frame]:
         if milliseconds != self._time_limit:
