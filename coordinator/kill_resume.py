@@ -52,6 +52,18 @@ component = "y"
 times = ["0 ps", "2 ps"]
 displacements = ["0 angstrom", "-1 angstrom"]
 
+[[continuum.edges]]
+edge = "left"
+component = "x"
+times = ["0 ps", "2 ps"]
+displacements = ["0 angstrom", "0 angstrom"]
+
+[[continuum.edges]]
+edge = "right"
+component = "x"
+times = ["0 ps", "2 ps"]
+displacements = ["0 angstrom", "0 angstrom"]
+
 [atomistic]
 force_field = "tersoff"
 width = "45 angstrom"

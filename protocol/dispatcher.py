@@ -29,6 +29,8 @@ from protocol.version import NEWEST, OLDEST, Version, agree
 
 #: Replies kept for requests that are sent again.
 KEPT_REPLIES = 4
+#: A reply above this size is kept only while it is the last one.
+LARGE_REPLY_BYTES = 1 << 20
 #: Ids remembered so that an old request is never run twice.
 KEPT_IDS = 4096
 #: Id of an error reply to a message whose own id could not be read.
@@ -223,6 +225,10 @@ class Dispatcher:
         return None
 
     def _keep(self, request: Envelope, answer: list[Frame]) -> None:
+        # A large reply is kept only until the next request: four checkpoints would hold four times the state.
+        last = next(reversed(self._replies), None)
+        if last is not None and size_of(self._replies[last][1]) > LARGE_REPLY_BYTES:
+            del self._replies[last]
         self._replies[request.id] = ((request.type, request.step), answer)
         self._answered[request.id] = None
         if len(self._replies) > KEPT_REPLIES:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from coordinator.handshake import (
+    CHOSEN_NUMBER,
     SMALLEST_WEIGHT,
     STABILITY_LIMIT,
     HandshakeError,
@@ -115,13 +116,21 @@ def test_exchange_number_one_is_where_the_exchange_loses_stability(damping_time:
 
 @pytest.mark.parametrize("damping_time", [None, 2e-13])
 @pytest.mark.parametrize("step", [1e-15, 3e-15, 5e-15])
-def test_choose_takes_the_smallest_stable_weight(step: float, damping_time: float | None) -> None:
+def test_choose_takes_the_smallest_weight_below_the_number_it_aims_at(step: float, damping_time: float | None) -> None:
     chosen = choose(YOUNG, DENSITY, WIDTH, step, damping_time=damping_time)
-    assert chosen.exchange_number < STABILITY_LIMIT
+    assert chosen.exchange_number < CHOSEN_NUMBER < STABILITY_LIMIT
     assert chosen.stiffness_density == pytest.approx(exact_stiffness(chosen.weight) * YOUNG / WIDTH**2, rel=1e-12)
     lighter = chosen.weight - 0.002
     kappa = exact_stiffness(lighter) * YOUNG / WIDTH**2
-    assert exchange_number(kappa, lighter, DENSITY, step, damping_time) >= STABILITY_LIMIT
+    assert exchange_number(kappa, lighter, DENSITY, step, damping_time) >= CHOSEN_NUMBER
+
+
+def test_full_weight_is_taken_where_only_that_is_stable() -> None:
+    # The exchange number is linear in the step without damper: 0.8 lies between aim and limit.
+    step = 0.8 * 5e-15 / exchange_number(exact_stiffness(1.0) * YOUNG / WIDTH**2, 1.0, DENSITY, 5e-15)
+    chosen = choose(YOUNG, DENSITY, WIDTH, step)
+    assert chosen.weight == 1.0
+    assert chosen.exchange_number == pytest.approx(0.8, rel=1e-12)
 
 
 def test_choose_stops_at_the_smallest_weight() -> None:

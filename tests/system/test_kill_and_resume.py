@@ -10,7 +10,7 @@ from signal import SIGKILL
 
 import h5py
 import pytest
-from conftest import SHORT, STEPS, StartsRuns
+from small_runs import SHORT, STEPS, StartsRuns
 
 from coordinator.kill_resume import (
     END_SECONDS,

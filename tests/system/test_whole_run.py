@@ -8,7 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from conftest import SHORT, STEPS, StartsRuns
+from small_runs import SHORT, STEPS, StartsRuns
 
 from coordinator.kill_resume import END_SECONDS, RUN_SECONDS, SCENE
 from coordinator.results import Results
