@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from coordinator.field_figures import inner_strain
+from coordinator.kill_resume import KILL_RESUME
 from coordinator.results import Results
 from protocol.verification import CannotRun, Case, Check
 
@@ -107,4 +108,5 @@ CASES = [
     Case("whole", "force-balance", "forces of cells against forces of anchors, each step", force_balance),
     Case("whole", "time-outside-solvers", "share of the run outside the two solvers", time_outside_solvers),
     Case("whole", "crack", "a crack grows in the atoms under the load of the continuum", crack, slow=True),
+    KILL_RESUME,
 ]

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from coordinator.machine import machine
@@ -26,23 +27,26 @@ class UnknownCase(ValueError):
 
 @dataclass(frozen=True)
 class Outcome:
-    """One row of the answer; a case that cannot run has no check but a reason."""
+    """One row of the answer; a case that cannot run, or broke down, has no check but a reason."""
 
     case: Case
     seconds: float
     check: Check | None = None
     reason: str = ""
+    broke_down: bool = False
 
     @property
     def passed(self) -> bool | None:
         """True or False; None where the case could not run."""
-        return None if self.check is None else self.check.passed
+        if self.check is None:
+            return False if self.broke_down else None
+        return self.check.passed
 
     def as_json(self) -> dict[str, Any]:
         """Return the row as the design states it."""
         row: dict[str, Any] = {"group": self.case.group, "case": self.case.name, "seconds": round(self.seconds, 3)}
         if self.check is None:
-            return {**row, "passed": None, "reason": self.reason}
+            return {**row, "passed": self.passed, "reason": self.reason}
         check = self.check
         return {
             **row,
@@ -97,6 +101,10 @@ def run_case(case: Case, folder: Path) -> list[Outcome]:
         checks = case.run(folder)
     except CannotRun as error:
         return [Outcome(case, time.perf_counter() - began, reason=str(error))]
+    except Exception as error:
+        # One case that breaks down must not take the answers of the others with it.
+        reason = f"{type(error).__name__}: {error}"
+        return [Outcome(case, time.perf_counter() - began, reason=reason, broke_down=True)]
     seconds = time.perf_counter() - began
     return [Outcome(case, seconds, check) for check in checks]
 
@@ -128,7 +136,8 @@ def _table(outcomes: Sequence[Outcome]) -> Table:
     for outcome in outcomes:
         name, seconds = f"{outcome.case.group}/{outcome.case.name}", f"{outcome.seconds:.1f}"
         if outcome.check is None:
-            table.add_row(name, outcome.reason, "", "", "", "", "", seconds, "[yellow]not run[/yellow]")
+            verdict = "[bold red]BROKE DOWN[/bold red]" if outcome.broke_down else "[yellow]not run[/yellow]"
+            table.add_row(name, escape(outcome.reason), "", "", "", "", "", seconds, verdict)
             continue
         check = outcome.check
         limit = ("at most " if check.at_most else "") + f"{check.reference:.6g}"

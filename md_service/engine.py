@@ -200,6 +200,8 @@ class LammpsEngine:
     def measure_reference(self, windows: int, window: int, progress: Progress | None = None) -> Reference:
         """Average the reaction over many windows with anchors at rest: the value at t_0 of Eq 87.
 
+        Its sum over all anchors is set to zero.
+
         Parameters
         ----------
         windows : int
@@ -236,6 +238,9 @@ class LammpsEngine:
             self._report(progress, done + 1, windows)
         temperatures /= windows
         mean = total / windows
+        # The momentum of a sample that is held stays bounded, so the sum over all anchors is zero in the long
+        # run; what a finite average leaves of it is noise, and would push the whole body for the whole run.
+        mean -= mean.mean(axis=0)
         self.reference = Reference(
             anchor_force=mean,
             ivc_force=anchors.sum_over_ivc(mean),

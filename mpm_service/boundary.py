@@ -105,9 +105,7 @@ class EdgeSet(NamedTuple):
     """Condition that gives the edge's normal displacement, or -1."""
 
 
-def edge_set(
-    conditions: Sequence[EdgeCondition], lower: NDArray[np.float64], upper: NDArray[np.float64]
-) -> EdgeSet:
+def edge_set(conditions: Sequence[EdgeCondition], lower: NDArray[np.float64], upper: NDArray[np.float64]) -> EdgeSet:
     """Bring edge conditions of a body with the given corners into kernel form.
 
     Raises
@@ -242,9 +240,7 @@ def move_edges(
         lines = (mesh.cells_y if edges.axis[k] == 0 else mesh.cells_x) + 1
         for along in range(lines):
             for field in range(2 if crack.on else 1):
-                count, free = _stencil(
-                    edges, mesh, crack, momentum, nearest, beyond, k, along, field == 1, node, ratio
-                )
+                count, free = _stencil(edges, mesh, crack, momentum, nearest, beyond, k, along, field == 1, node, ratio)
                 if count == 0:
                     continue
                 before = velocity_before[k]
@@ -295,9 +291,7 @@ def impose_edges(
         lines = (mesh.cells_y if edges.axis[k] == 0 else mesh.cells_x) + 1
         for along in range(lines):
             for field in range(2 if crack.on else 1):
-                count, free = _stencil(
-                    edges, mesh, crack, momentum, nearest, beyond, k, along, field == 1, node, ratio
-                )
+                count, free = _stencil(edges, mesh, crack, momentum, nearest, beyond, k, along, field == 1, node, ratio)
                 inner = remapped[free, comp] if free >= 0 else velocity[k]
                 for c in range(count):
                     remapped[node[c], comp] = velocity[k] + ratio[c] * (inner - velocity[k])

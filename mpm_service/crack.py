@@ -224,11 +224,7 @@ def find_near_nodes(crack: CrackFields, mesh: Mesh) -> None:
                 if ix < 0 or jy < 0 or ix > mesh.cells_x or jy > mesh.cells_y:
                     continue
                 node = jy * mesh.stride + ix
-                if (
-                    near[node] < 0
-                    and (ix - xi) ** 2 + (jy - eta) ** 2 < _REACH * _REACH
-                    and count < near_node.size
-                ):
+                if near[node] < 0 and (ix - xi) ** 2 + (jy - eta) ** 2 < _REACH * _REACH and count < near_node.size:
                     near[node] = count
                     near_node[count] = node
                     count += 1

@@ -43,10 +43,7 @@ class Overlap:
             raise ValueError(f"Overlap.weight = {self.weight!r}: must be above 0 and at most 1")
         for axis in range(2):
             if not (
-                self.outer_lower[axis]
-                <= self.inner_lower[axis]
-                < self.inner_upper[axis]
-                <= self.outer_upper[axis]
+                self.outer_lower[axis] <= self.inner_lower[axis] < self.inner_upper[axis] <= self.outer_upper[axis]
             ):
                 raise ValueError(
                     f"Overlap, axis {axis}: outer_lower <= inner_lower < inner_upper <= outer_upper is "
@@ -151,9 +148,7 @@ def fill_rectangle(
     for axis in range(2):
         count = _on_line(f"upper[{axis}]", float(upper[axis]), float(lower[axis]), cell_size)
         if count < 1:
-            raise ValueError(
-                f"upper[{axis}] = {upper[axis]!r} m: must be at least one cell above lower[{axis}]"
-            )
+            raise ValueError(f"upper[{axis}] = {upper[axis]!r} m: must be at least one cell above lower[{axis}]")
         cells.append(count)
     start = np.array([float(lower[0]), float(lower[1])])
     x = start[0] + cell_size * (np.arange(cells[0] * points_per_cell) + 0.5) / points_per_cell
@@ -166,9 +161,7 @@ def fill_rectangle(
             for corner, name in enumerate(("lower", "upper")):
                 _on_line(f"hole {name}[{axis}]", float(corners[corner, axis]), start[axis], cell_size)
             if not corners[0, axis] < corners[1, axis]:
-                raise ValueError(
-                    f"hole upper[{axis}] = {corners[1, axis]!r} m: must lie above hole lower[{axis}]"
-                )
+                raise ValueError(f"hole upper[{axis}] = {corners[1, axis]!r} m: must lie above hole lower[{axis}]")
         inside = np.all((position > corners[0]) & (position < corners[1]), axis=1)
         position = position[~inside]
     if position.shape[0] == 0:

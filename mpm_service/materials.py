@@ -57,9 +57,7 @@ class IsotropicElastic:
         if not (np.isfinite(self.density) and self.density > 0.0):
             raise ValueError(f"density = {self.density!r}: a positive density [kg/m^3] is needed")
         if self.assumption not in ("plane_stress", "plane_strain"):
-            raise ValueError(
-                f"assumption = {self.assumption!r}: allowed are 'plane_stress' and 'plane_strain'"
-            )
+            raise ValueError(f"assumption = {self.assumption!r}: allowed are 'plane_stress' and 'plane_strain'")
 
     @property
     def shear_modulus(self) -> float:

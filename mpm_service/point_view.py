@@ -80,9 +80,7 @@ class PointView:
     def strain(self) -> FloatArray:
         """Small strain of Eq 25: xx, yy, tensor xy, (n, 3)."""
         h = self.displacement_gradient
-        return np.ascontiguousarray(
-            np.stack([h[:, 0, 0], h[:, 1, 1], 0.5 * (h[:, 0, 1] + h[:, 1, 0])], axis=1)
-        )
+        return np.ascontiguousarray(np.stack([h[:, 0, 0], h[:, 1, 1], 0.5 * (h[:, 0, 1] + h[:, 1, 0])], axis=1))
 
     @property
     def stress(self) -> FloatArray:

@@ -145,9 +145,7 @@ class MaterialPointSolver:
         self._points = Points(rows, np.arange(count), np.arange(count))
         table = grid.node_count + self._crack.near_node.size
         self._nodes = Nodes(np.zeros((table, 5)), np.zeros((table, 4)), np.zeros((table, 2)))
-        self._totals = Totals(
-            np.array([count], dtype=np.int64), np.zeros(1), np.zeros(1), np.zeros(1), np.zeros(1)
-        )
+        self._totals = Totals(np.array([count], dtype=np.int64), np.zeros(1), np.zeros(1), np.zeros(1), np.zeros(1))
         sort_points(rows, self._points.ids, self._points.row_of, count, self._mesh)
         self._active = reachable_nodes(rows, count, self._mesh)
         self._reaction = np.zeros(len(self.edge_conditions))
@@ -317,16 +315,12 @@ class MaterialPointSolver:
         low = _array("lower", low, (low.shape[0], 2))
         high = _array("upper", upper, low.shape)
         place = self.body.position
-        cells = [
-            np.flatnonzero(np.all((place >= a) & (place < b), axis=1)) for a, b in zip(low, high, strict=True)
-        ]
+        cells = [np.flatnonzero(np.all((place >= a) & (place < b), axis=1)) for a, b in zip(low, high, strict=True)]
         _check_cells(self._anchor_ivc, cells)
         self._ivc_points = cells
         return np.array([c.size for c in cells], dtype=np.int64)
 
-    def advance(
-        self, steps: int, ivc_force: ArrayLike | None = None, anchor_force: ArrayLike | None = None
-    ) -> None:
+    def advance(self, steps: int, ivc_force: ArrayLike | None = None, anchor_force: ArrayLike | None = None) -> None:
         """Advance under forces that stay constant meanwhile.
 
         Parameters
@@ -350,9 +344,7 @@ class MaterialPointSolver:
             raise ValueError(f"steps = {steps!r}: a whole number of at least 0 is needed")
         steps = int(steps)
         count = self._anchors.position.shape[0]
-        self._anchors.force[:] = (
-            0.0 if anchor_force is None else _array("anchor_force", anchor_force, (count, 2))
-        )
+        self._anchors.force[:] = 0.0 if anchor_force is None else _array("anchor_force", anchor_force, (count, 2))
         loads = self._point_forces(ivc_force)
         time = self.time_step * np.arange(self._step - 1, self._step + steps + 1, dtype=np.float64)
         motion = np.zeros((steps + 2, len(self.edge_conditions)))
@@ -419,9 +411,7 @@ class MaterialPointSolver:
             raise ValueError(f"state: field {missing[0]!r} is missing")
         for name, mine in here.items():
             if name != "active_nodes" and np.shape(state[name]) != mine.shape:
-                raise ValueError(
-                    f"state[{name!r}]: shape {mine.shape} is needed, got {np.shape(state[name])}"
-                )
+                raise ValueError(f"state[{name!r}]: shape {mine.shape} is needed, got {np.shape(state[name])}")
         if not np.array_equal(np.asarray(state["configuration"]), here["configuration"]):
             raise ValueError("state['configuration']: belongs to another grid, body, material or time step")
         self._step = int(np.asarray(state["step"])[0])
@@ -522,9 +512,7 @@ def _check_cells(ivc: NDArray[np.int64], cells: Sequence[NDArray[np.int64]]) -> 
         if k >= len(cells):
             raise ValueError(f"ivc = {int(k)}: only {len(cells)} interface cells are registered")
         if cells[k].size == 0:
-            raise ValueError(
-                f"interface cell {int(k)}: holds {int(np.sum(ivc == k))} anchors but no material point"
-            )
+            raise ValueError(f"interface cell {int(k)}: holds {int(np.sum(ivc == k))} anchors but no material point")
 
 
 def _check_fit(grid: Grid, body: Body) -> None:

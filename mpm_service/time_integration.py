@@ -241,9 +241,7 @@ def advance_steps(
         if crack.on:
             move_crack(crack, mesh, nodes.momentum, nodes.motion, time_step)
 
-        runaway, largest = update_points(
-            rows, count, ids, mesh, crack, nodes.motion, nodes.remapped, time_step
-        )
+        runaway, largest = update_points(rows, count, ids, mesh, crack, nodes.motion, nodes.remapped, time_step)
         if runaway >= 0:
             return step, runaway, active
         work = 0.0

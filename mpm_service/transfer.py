@@ -26,12 +26,8 @@ _OPTIONS = {"cache": True, "nogil": True, "fastmath": {"contract", "reassoc", "n
 
 @njit(inline="always")
 def _weights(mesh: Mesh, x: float, y: float) -> tuple[int, int, Triple, Triple, Triple, Triple]:
-    cx, sx, gx = gimp_1d(
-        (x - mesh.origin_x) * mesh.inverse_cell, mesh.half_size, mesh.inverse_2l, mesh.inverse_4l
-    )
-    cy, sy, gy = gimp_1d(
-        (y - mesh.origin_y) * mesh.inverse_cell, mesh.half_size, mesh.inverse_2l, mesh.inverse_4l
-    )
+    cx, sx, gx = gimp_1d((x - mesh.origin_x) * mesh.inverse_cell, mesh.half_size, mesh.inverse_2l, mesh.inverse_4l)
+    cy, sy, gy = gimp_1d((y - mesh.origin_y) * mesh.inverse_cell, mesh.half_size, mesh.inverse_2l, mesh.inverse_4l)
     return cx, cy, sx, sy, gx, gy
 
 
@@ -75,9 +71,7 @@ def scatter_momentum(
     for p in range(count):
         cx, cy, sx, sy, gx, gy = _weights(mesh, rows[p, X], rows[p, Y])
         mass = rows[p, MASS]
-        txx, tyy, txy, volume = stress_and_volume(
-            law, rows[p, HXX], rows[p, HXY], rows[p, HYX], rows[p, HYY], mass
-        )
+        txx, tyy, txy, volume = stress_and_volume(law, rows[p, HXX], rows[p, HXY], rows[p, HYX], rows[p, HYY], mass)
         scale = -volume * mesh.inverse_cell
         fxx = scale * txx
         fyy = scale * tyy
@@ -90,9 +84,7 @@ def scatter_momentum(
             d = point_local[ids[p], 1]
             for j in range(3):
                 for i in range(3):
-                    n = field_row(
-                        near, node_local, base, length, tolerance, corner + j * mesh.stride + i, s, d
-                    )
+                    n = field_row(near, node_local, base, length, tolerance, corner + j * mesh.stride + i, s, d)
                     w = sx[i] * sy[j]
                     wx = gx[i] * sy[j]
                     wy = sx[i] * gy[j]
@@ -198,9 +190,7 @@ def update_points(
             d = point_local[ids[p], 1]
             for j in range(3):
                 for i in range(3):
-                    n = field_row(
-                        near, node_local, base, length, tolerance, corner + j * mesh.stride + i, s, d
-                    )
+                    n = field_row(near, node_local, base, length, tolerance, corner + j * mesh.stride + i, s, d)
                     w = sx[i] * sy[j]
                     vx += w * motion[n, 0]
                     vy += w * motion[n, 1]
@@ -233,9 +223,7 @@ def update_points(
             d = point_local[ids[p], 1]
             for j in range(3):
                 for i in range(3):
-                    n = field_row(
-                        near, node_local, base, length, tolerance, corner + j * mesh.stride + i, s, d
-                    )
+                    n = field_row(near, node_local, base, length, tolerance, corner + j * mesh.stride + i, s, d)
                     w = sx[i] * sy[j]
                     remapped[n, 0] += w * px
                     remapped[n, 1] += w * py
@@ -284,9 +272,7 @@ def deform_points(
             d = point_local[ids[p], 1]
             for j in range(3):
                 for i in range(3):
-                    n = field_row(
-                        near, node_local, base, length, tolerance, corner + j * mesh.stride + i, s, d
-                    )
+                    n = field_row(near, node_local, base, length, tolerance, corner + j * mesh.stride + i, s, d)
                     wx = gx[i] * sy[j]
                     wy = sx[i] * gy[j]
                     lxx += wx * remapped[n, 0]
@@ -335,11 +321,7 @@ def point_energies(rows: NDArray[np.float64], count: int, law: Law) -> tuple[flo
     for p in range(count):
         mass = rows[p, MASS]
         kinetic += 0.5 * mass * (rows[p, VX] * rows[p, VX] + rows[p, VY] * rows[p, VY])
-        txx, tyy, txy, _ = stress_and_volume(
-            law, rows[p, HXX], rows[p, HXY], rows[p, HYX], rows[p, HYY], mass
-        )
+        txx, tyy, txy, _ = stress_and_volume(law, rows[p, HXX], rows[p, HXY], rows[p, HYX], rows[p, HYY], mass)
         exy = 0.5 * (rows[p, HXY] + rows[p, HYX])
-        strain += (
-            0.5 * mass * law.inverse_density * (txx * rows[p, HXX] + tyy * rows[p, HYY] + 2.0 * txy * exy)
-        )
+        strain += 0.5 * mass * law.inverse_density * (txx * rows[p, HXX] + tyy * rows[p, HYY] + 2.0 * txy * exy)
     return kinetic, strain

@@ -151,6 +151,8 @@ class Dispatcher:
                 return kept
         except ProtocolError as error:
             return self._error_frames(error, request or _readable(frames))
+        except Exception as error:
+            return self._error_frames(_defect(error), request)
         began = time.perf_counter()
         try:
             reply = self._run(request)
@@ -170,13 +172,7 @@ class Dispatcher:
         except ProtocolError as error:
             answer = self._error_frames(error, request)
         except Exception as error:
-            answer = self._error_frames(
-                ProtocolError(
-                    "internal", f"{type(error).__name__}: {error}", traceback_tail=traceback_tail(error),
-                    hint="this is a defect of the service; please report it with the traceback",
-                ),
-                request,
-            )  # fmt: skip
+            answer = self._error_frames(_defect(error), request)
         self._keep(request, answer)
         return answer
 
@@ -315,6 +311,14 @@ def bad_field(error: ValidationError, what: str) -> ProtocolError:
         others = sorted({".".join(str(part) for part in (*p["loc"], *_rule_field(p))) for p in problems[1:]})
         sentence += f"; also wrong: {', '.join(others)}"
     return ProtocolError("bad_field", sentence, field=path)
+
+
+def _defect(error: Exception) -> ProtocolError:
+    """Return what is told of an exception that nobody foresaw."""
+    return ProtocolError(
+        "internal", f"{type(error).__name__}: {error}", traceback_tail=traceback_tail(error),
+        hint="this is a defect of the service; please report it with the traceback",
+    )  # fmt: skip
 
 
 def _rule_field(problem: ErrorDetails) -> tuple[str, ...]:

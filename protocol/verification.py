@@ -42,7 +42,7 @@ class Check:
         """Relative error, or the absolute one where the reference is zero."""
         difference = self.value - self.reference
         if self.at_most:
-            difference = max(0.0, difference)
+            difference = max(difference, 0.0)  # in this order NaN stays NaN
         return abs(difference / self.reference) if self.reference else abs(difference)
 
     @property

@@ -18,9 +18,7 @@ def through_crack(line: float, velocity_up: tuple, velocity_down: tuple) -> Mate
     solver = MaterialPointSolver(GRID, body, LAW, 1.0, DT, crack=Crack(((-3.0, line), (13.0, line))))
     state = solver.state()
     upper = body.position[state["ids"], 1] > line
-    state["rows"][:, [VX, VY]] = (
-        np.where(upper[:, None], velocity_up, velocity_down) * LAW.pressure_wave_speed
-    )
+    state["rows"][:, [VX, VY]] = np.where(upper[:, None], velocity_up, velocity_down) * LAW.pressure_wave_speed
     solver.restore(state)
     return solver
 

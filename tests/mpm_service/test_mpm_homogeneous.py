@@ -149,9 +149,7 @@ def test_shear_of_the_first_step_is_uniform() -> None:
         EdgeCondition("bottom", 0, (0.0, dt), (0.0, 0.0)),
         EdgeCondition("top", 0, (0.0, dt), (0.0, 6.0 * 1e-6)),
     ]
-    solver = MaterialPointSolver(
-        GRID, body, law, 1.0, dt, edges, initial_velocity_gradient=[[0.0, rate], [0.0, 0.0]]
-    )
+    solver = MaterialPointSolver(GRID, body, law, 1.0, dt, edges, initial_velocity_gradient=[[0.0, rate], [0.0, 0.0]])
     solver.advance(1)
     np.testing.assert_allclose(solver.points.displacement_gradient[:, 0, 1], 1e-6, rtol=1e-9)
     np.testing.assert_allclose(solver.points.stress[:, 2], E / (2 * (1 + NU)) * 1e-6, rtol=1e-9)
@@ -187,9 +185,15 @@ def test_momentum_of_a_free_body_is_kept_to_round_off(crack: Crack | None) -> No
 def test_weight_scales_mass_and_force_but_not_motion() -> None:
     law = material("plane_stress")
     ring = Overlap((20.0, 20.0), (21.0, 21.0), (-1.0, -1.0), (22.0, 22.0), 0.1)
+    shifted = Overlap((20.0, 20.0), (21.0, 21.0), (0.1, -1.0), (22.0, 22.0), 0.1)
     plain = fill_rectangle((0.0, 0.0), (10.0, 6.0), 1.0)
     light = fill_rectangle((0.0, 0.0), (10.0, 6.0), 1.0, overlap=ring)
-    assert np.all(light.weight == 0.1)
+    np.testing.assert_allclose(light.weight, 0.1, rtol=1e-14)
+    # Points of side 1/2 at the left border have the mean weight of their domain: a fifth of it lies outside.
+    across = fill_rectangle((0.0, 0.0), (10.0, 6.0), 1.0, overlap=shifted)
+    at_border = across.position[:, 0] < 0.5
+    np.testing.assert_allclose(across.weight[at_border], 0.2 * 1.0 + 0.8 * 0.1, rtol=1e-12)
+    np.testing.assert_allclose(across.weight[~at_border], 0.1, rtol=1e-12)
     dt = step_of(law)
     edges = [EdgeCondition("left", 0, (0.0,), (0.0,)), EdgeCondition("right", 0, (0.0, 50 * dt), (0.0, 1e-3))]
     runs = [MaterialPointSolver(GRID, body, law, 1.0, dt, edges) for body in (plain, light)]

@@ -98,9 +98,7 @@ def test_points_that_leave_are_counted_and_the_run_goes_on() -> None:
     steps = round(12.5 / (speed * DT))
     solver.advance(steps)
     assert solver.points_lost == 2 * 8 or solver.points_lost == 3 * 8
-    assert np.all(
-        solver.points.alive == (solver.points.reference_position[:, 0] < 4.0 - solver.points_lost / 16)
-    )
+    assert np.all(solver.points.alive == (solver.points.reference_position[:, 0] < 4.0 - solver.points_lost / 16))
     alive = solver.points.alive
     np.testing.assert_allclose(solver.points.velocity[alive, 0], speed, rtol=1e-3)
     solver.advance(1000)
@@ -115,9 +113,7 @@ def test_a_runaway_names_point_place_step_and_knob() -> None:
     row = int(np.flatnonzero(state["ids"] == 17)[0])
     state["rows"][row, VY] = np.nan
     solver.restore(state)
-    with pytest.raises(
-        SolverError, match=r"velocity of material point \d+ at .* step 3.*time_step"
-    ) as caught:
+    with pytest.raises(SolverError, match=r"velocity of material point \d+ at .* step 3.*time_step") as caught:
         solver.advance(5)
     assert caught.value.step == 3
     assert np.hypot(*(np.array(caught.value.position) - solver.points.reference_position[17])) < 3.0
@@ -209,8 +205,6 @@ def test_the_answer_does_not_depend_on_the_unit_of_length() -> None:
         runs.append(solver)
     np.testing.assert_allclose(runs[1].points.stress, runs[0].points.stress, rtol=1e-6, atol=1e-9 * 1e9)
     np.testing.assert_allclose(runs[1].anchor_displacement / small, runs[0].anchor_displacement, rtol=1e-6)
-    np.testing.assert_allclose(
-        runs[1].crack_opening[1] / small, runs[0].crack_opening[1], rtol=1e-6, atol=1e-9
-    )
+    np.testing.assert_allclose(runs[1].crack_opening[1] / small, runs[0].crack_opening[1], rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(runs[1].edge_reaction / small**2, runs[0].edge_reaction, rtol=1e-6)
     assert runs[1].energies().strain / small**3 == pytest.approx(runs[0].energies().strain, rel=1e-6)

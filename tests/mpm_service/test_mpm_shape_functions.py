@@ -59,14 +59,9 @@ def test_values_are_the_hat_averaged_over_the_domain() -> None:
     for p in range(place.shape[0]):
         for k in range(9):
             x = GRID.node_positions()[node[p, k]]
-            hats = [
-                np.clip(1.0 - np.abs(place[p, i] + size * sample - x[i]) / GRID.cell_size, 0, None)
-                for i in (0, 1)
-            ]
+            hats = [np.clip(1.0 - np.abs(place[p, i] + size * sample - x[i]) / GRID.cell_size, 0, None) for i in (0, 1)]
             assert abs(weight[p, k] - hats[0].mean() * hats[1].mean()) < 1e-6
-            ends = [
-                max(0.0, 1.0 - abs(place[p, 0] + s * size / 2 - x[0]) / GRID.cell_size) for s in (1.0, -1.0)
-            ]
+            ends = [max(0.0, 1.0 - abs(place[p, 0] + s * size / 2 - x[0]) / GRID.cell_size) for s in (1.0, -1.0)]
             assert abs(gradient[p, k, 0] - (ends[0] - ends[1]) / size * hats[1].mean()) < 1e-5
 
 

@@ -108,9 +108,7 @@ def test_damping_takes_exactly_what_it_should_from_rigid_motion() -> None:
     law = IsotropicElastic(E, NU, RHO, "plane_strain")
     dt = 0.4 / law.pressure_wave_speed
     body = fill_rectangle((0.0, 0.0), (6.0, 6.0), 1.0)
-    solver = MaterialPointSolver(
-        Grid((-3.0, -3.0), 1.0, (12, 12)), body, law, 1.0, dt, damping_rate=0.01 / dt
-    )
+    solver = MaterialPointSolver(Grid((-3.0, -3.0), 1.0, (12, 12)), body, law, 1.0, dt, damping_rate=0.01 / dt)
     state = solver.state()
     state["rows"][:, VX] = 3.0
     solver.restore(state)
