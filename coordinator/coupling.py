@@ -346,8 +346,8 @@ class Coupling:
             self._start_energy = atoms.potential_energy
         scale = np.abs(atoms.anchor_force).sum()
         # Summed here from the anchors, so that a service's own sums are checked cell by cell.
-        by_cell = np.zeros_like(atoms.ivc_force)
-        np.add.at(by_cell, self.interface.anchor_ivc, atoms.anchor_force)
+        cell, cells = self.interface.anchor_ivc, len(atoms.ivc_force)
+        by_cell = np.column_stack([np.bincount(cell, atoms.anchor_force[:, k], cells) for k in range(3)])
         imbalance = np.abs(by_cell - atoms.ivc_force).max()
         values = {
             "atomistic_potential": atoms.potential_energy - self._start_energy,

@@ -18,7 +18,7 @@ from protocol.verification import CannotRun, Case, Check
 
 SCENES = Path(__file__).resolve().parent.parent / "scenes"
 #: Steps of the crack scene for figures that do not need the crack to grow.
-SHORT = ("--set", "run.steps=300", "--set", "run.checkpoint_every=100")
+SHORT = ("--set", "run.steps=150")
 
 
 def run_shipped(name: str, folder: Path, arguments: Sequence[str] = ()) -> dict[str, Any]:
@@ -61,7 +61,7 @@ def patch(folder: Path) -> list[Check]:
 
 def force_balance(folder: Path) -> list[Check]:
     """Sum of the forces of the volume cells against the sum of the anchor forces, at every step."""
-    run_shipped("graphene_crack", folder / "run", ("--set", "run.steps=50", "--set", "run.checkpoint_every=50"))
+    run_shipped("graphene_crack", folder / "run", ("--set", "run.steps=50"))
     with Results(folder / "run" / "results.h5") as results:
         return [_largest_imbalance(results)]
 
