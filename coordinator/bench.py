@@ -8,10 +8,10 @@ from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
 
-from rich.console import Console
 from rich.table import Table
 
 from coordinator.machine import machine
+from coordinator.verify import wide_console
 from protocol.verification import BENCHMARKS, Benchmark, BenchmarkRow
 
 PICTURES = Path("runs") / "bench"
@@ -33,7 +33,7 @@ def run_benchmarks(names: Sequence[str], json_file: Path | None) -> None:
     unknown = [name for name in names if name not in have]
     if unknown:
         raise UnknownBenchmark(f"no benchmark {unknown[0]!r}; there are {', '.join(sorted(have))}")
-    console = Console()
+    console = wide_console()
     answers = []
     for name in names or sorted(have):
         benchmark: Benchmark = have[name].load()

@@ -18,7 +18,10 @@ from protocol.verification import CannotRun, Case, Check
 
 SCENES = Path(__file__).resolve().parent.parent / "scenes"
 #: Steps of the crack scene for figures that do not need the crack to grow.
-SHORT = ("--set", "run.steps=150")
+SHORT_SETUP = (
+    "--set", "run.steps=50", "--set", "atomistic.equilibration=0.1 ps", "--set", "atomistic.reference=0.15 ps",
+)  # fmt: skip
+SHORT = ("--set", "run.steps=120")
 
 
 def run_shipped(name: str, folder: Path, arguments: Sequence[str] = ()) -> dict[str, Any]:
@@ -61,7 +64,7 @@ def patch(folder: Path) -> list[Check]:
 
 def force_balance(folder: Path) -> list[Check]:
     """Sum of the forces of the volume cells against the sum of the anchor forces, at every step."""
-    run_shipped("graphene_crack", folder / "run", ("--set", "run.steps=50"))
+    run_shipped("graphene_crack", folder / "run", SHORT_SETUP)
     with Results(folder / "run" / "results.h5") as results:
         return [_largest_imbalance(results)]
 

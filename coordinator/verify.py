@@ -76,7 +76,7 @@ def verify_cases(wanted: Sequence[str], json_file: Path | None, console: Console
     UnknownCase
         Where a name fits no case; the message lists those that there are.
     """
-    console = console or Console()
+    console = console or wide_console()
     outcomes: list[Outcome] = []
     with tempfile.TemporaryDirectory(prefix="scalebridge-verify-") as folder:
         for case in select(wanted):
@@ -91,6 +91,12 @@ def verify_cases(wanted: Sequence[str], json_file: Path | None, console: Console
         }
         json_file.write_text(json.dumps(answer, indent=2, allow_nan=False) + "\n")
     return all(outcome.passed is not False for outcome in outcomes)
+
+
+def wide_console() -> Console:
+    """Return a console that does not squeeze tables into 80 columns where nobody reads along."""
+    console = Console()
+    return console if console.is_terminal else Console(width=160)
 
 
 def run_case(case: Case, folder: Path) -> list[Outcome]:
@@ -132,7 +138,8 @@ def installed() -> list[Case]:
 def _table(outcomes: Sequence[Outcome]) -> Table:
     table = Table(box=None, pad_edge=False)
     for name in ("case", "quantity", "value", "reference", "unit", "error", "tolerance", "seconds", ""):
-        table.add_column(name, justify="left" if name in ("case", "quantity", "unit", "") else "right")
+        text = name in ("case", "quantity", "unit", "")
+        table.add_column(name, justify="left" if text else "right", no_wrap=name != "quantity")
     for outcome in outcomes:
         name, seconds = f"{outcome.case.group}/{outcome.case.name}", f"{outcome.seconds:.1f}"
         if outcome.check is None:
