@@ -50,7 +50,8 @@ def test_the_crack_scene_in_si() -> None:
     assert scene.overrides == ("atomistic.temperature=10 K",)
     assert scene.atomistic is not None and scene.atomistic.temperature == 10.0
     assert math.isclose(scene.continuum.cell_size, 5 * A, rel_tol=1e-14)
-    assert math.isclose(scene.time_step, 10 * 0.5e-15, rel_tol=1e-14)
+    assert scene.handshake is not None
+    assert math.isclose(scene.time_step, scene.handshake.steps_per_exchange * 0.5e-15, rel_tol=1e-14)
     inner, outer = scene.overlap() or ((), ())
     assert [round(x / A, 9) for corner in (*inner, *outer) for x in corner] == [
         -37.5, -37.5, 37.5, 37.5, -52.5, -52.5, 52.5, 52.5,
