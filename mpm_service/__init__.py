@@ -1,24 +1,64 @@
-"""Two-dimensional material point solver for concurrent multiscale mechanics."""
+"""Material point solver for concurrent multiscale mechanics.
 
-from .boundary import EdgeCondition
-from .crack import Crack
+>>> from mpm_service import Grid, IsotropicElastic, MaterialPointSolver, fill_rectangle
+>>> steel = IsotropicElastic(young=210e9, poisson=0.3, density=7850.0, assumption="plane_stress")
+>>> body = fill_rectangle((0.0, 0.0), (1.0, 0.1), cell_size=0.01)
+>>> grid = Grid((-0.05, -0.05), 0.01, (110, 20))
+>>> solver = MaterialPointSolver(grid, body, steel, thickness=0.01, time_step=5e-7)
+>>> solver.advance(10)
+>>> solver.points.velocity.shape
+(8000, 2)
+"""
+
+from .conditions import EdgeCondition, NodeCondition, symmetry
+from .crack_line import Crack
+from .cracks import CrackSet, Tip
+from .damping import Damping, Relaxation, relax
 from .errors import SolverError
 from .grid import Grid
-from .material_points import Body, Overlap, fill_rectangle
-from .materials import IsotropicElastic
-from .shape_functions import gimp_shape_functions
+from .hierarchy import HierarchicalGrid
+from .loads import AbsorbingEdge, BodyForce, Traction
+from .material import Material, MaterialError
+from .material_points import Body, Overlap, fill_rectangle, fill_region
+from .materials import IsotropicElastic, J2Plasticity, NeoHookean, OrthotropicElastic
+from .scheme import Scheme
 from .solver import Energies, MaterialPointSolver
+from .hierarchy_filling import fill_hierarchy
+from .time_functions import Constant, Ramp, Sine, Step, Table
 
 __all__ = [
+    "AbsorbingEdge",
     "Body",
+    "BodyForce",
+    "Constant",
     "Crack",
+    "CrackSet",
+    "Damping",
     "EdgeCondition",
     "Energies",
     "Grid",
+    "HierarchicalGrid",
     "IsotropicElastic",
+    "J2Plasticity",
+    "Material",
+    "MaterialError",
     "MaterialPointSolver",
+    "NeoHookean",
+    "NodeCondition",
+    "OrthotropicElastic",
     "Overlap",
+    "Ramp",
+    "Relaxation",
+    "Scheme",
+    "Sine",
     "SolverError",
+    "Step",
+    "Table",
+    "Tip",
+    "Traction",
+    "fill_hierarchy",
     "fill_rectangle",
-    "gimp_shape_functions",
+    "fill_region",
+    "relax",
+    "symmetry",
 ]

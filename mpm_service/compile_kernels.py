@@ -20,8 +20,8 @@ def compile_kernels() -> float:
     edges = [EdgeCondition("top", 1, (0.0, 1.0), (0.0, 1e-6)), EdgeCondition("bottom", 1, (0.0, 1.0), (0.0, 0.0))]
     for crack in (None, Crack(((-1.0, 4.5), (4.0, 4.5)))):
         solver = MaterialPointSolver(
-            Grid((-3.0, -3.0), 1.0, (14, 14)), body, material, 1.0, 0.1, edge_conditions=edges, crack=crack,
-            damping_rate=0.1,
+            Grid((-3.0, -3.0), 1.0, (14, 14)), body, material, 1.0, 0.1, edge_conditions=edges, cracks=[] if crack is None else [crack],
+            damping=0.1,
         )  # fmt: skip
         solver.register_anchors(np.array([[6.0, 6.2]]), np.array([0]))
         solver.register_interface_cells(np.array([[5.0, 5.0]]), np.array([[7.0, 7.0]]))

@@ -28,18 +28,18 @@ class Mesh(NamedTuple):
 
 @dataclass(frozen=True)
 class Grid:
-    """Uniform rectangular grid of square cells.
+    """Uniform grid of square or cubic cells.
 
-    The grid includes the margin around the body; a point whose domain would leave it is lost.
+    The grid includes the margin around the body; a point within a cell of its border is lost.
 
     Parameters
     ----------
-    origin : (2,) sequence of float
-        Lower left node [m].
+    origin : (d,) sequence of float
+        Lowest node [m], in 2 or 3 dimensions.
     cell_size : float
         Side of a cell [m].
-    cells : (2,) sequence of int
-        Number of cells in x and y, at least 3 each.
+    cells : (d,) sequence of int
+        Number of cells in each direction, at least 3 each.
 
     Raises
     ------
@@ -53,37 +53,44 @@ class Grid:
 
     def __post_init__(self) -> None:
         origin = tuple(float(value) for value in self.origin)
-        if len(origin) != 2 or not np.all(np.isfinite(origin)):
-            raise ValueError(f"Grid.origin = {self.origin!r}: two finite numbers [m] are needed")
+        if len(origin) not in (2, 3) or not np.all(np.isfinite(origin)):
+            raise ValueError(f"Grid.origin = {self.origin!r}: two or three finite numbers [m] are needed")
         if not (np.isfinite(self.cell_size) and self.cell_size > 0.0):
             raise ValueError(f"Grid.cell_size = {self.cell_size!r}: a positive length [m] is needed")
-        if len(self.cells) != 2 or any(int(n) != n or n < 3 for n in self.cells):
-            raise ValueError(f"Grid.cells = {self.cells!r}: two whole numbers of at least 3 are needed")
+        if len(self.cells) != len(origin) or any(int(n) != n or n < 3 for n in self.cells):
+            raise ValueError(
+                f"Grid.cells = {self.cells!r}: {len(origin)} whole numbers of at least 3 are needed, as many as "
+                "origin has"
+            )
         object.__setattr__(self, "origin", origin)
         object.__setattr__(self, "cell_size", float(self.cell_size))
         object.__setattr__(self, "cells", tuple(int(n) for n in self.cells))
 
     @property
+    def dimension(self) -> int:
+        """2 or 3."""
+        return len(self.cells)
+
+    @property
     def node_count(self) -> int:
         """Number of nodes."""
-        return (self.cells[0] + 1) * (self.cells[1] + 1)
+        return int(np.prod([n + 1 for n in self.cells]))
 
     @property
     def lower(self) -> NDArray[np.float64]:
-        """Lower left corner [m], (2,)."""
+        """Lowest corner [m], (d,)."""
         return np.array(self.origin, dtype=np.float64)
 
     @property
     def upper(self) -> NDArray[np.float64]:
-        """Upper right corner [m], (2,)."""
+        """Highest corner [m], (d,)."""
         return self.lower + self.cell_size * np.array(self.cells, dtype=np.float64)
 
     def node_positions(self) -> NDArray[np.float64]:
-        """Positions of all nodes [m], (node_count, 2), x running fastest."""
-        x = self.origin[0] + self.cell_size * np.arange(self.cells[0] + 1)
-        y = self.origin[1] + self.cell_size * np.arange(self.cells[1] + 1)
-        xx, yy = np.meshgrid(x, y)
-        return np.ascontiguousarray(np.stack([xx.ravel(), yy.ravel()], axis=1))
+        """Positions of all nodes [m], (node_count, d), x running fastest."""
+        lines = [o + self.cell_size * np.arange(n + 1) for o, n in zip(self.origin, self.cells, strict=True)]
+        mesh = np.meshgrid(*lines[::-1], indexing="ij")
+        return np.ascontiguousarray(np.stack([axis.ravel() for axis in mesh[::-1]], axis=1))
 
     def mesh(self, point_size: float) -> Mesh:
         """Kernel form of the grid for points of side ``point_size`` [m]."""

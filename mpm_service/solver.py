@@ -1,4 +1,4 @@
-"""Two-dimensional material point solver."""
+"""Material point solver in two or three dimensions."""
 
 from __future__ import annotations
 
@@ -9,24 +9,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .anchors import weigh_anchors
-from .boundary import EdgeCondition, edge_set
-from .crack import Crack, crack_fields, find_near_nodes, follow_crack
+from .boundary_set import BoundarySet
+from .conditions import EdgeCondition, NodeCondition
+from .crack_line import Crack
+from .cracks import CrackSet
+from .damping import Damping, ForceBalance
 from .errors import SolverError
 from .grid import Grid
-from .material_points import COLUMNS, MASS, VX, VY, Body, X, Y
-from .materials import IsotropicElastic
-from .ordering import reachable_nodes, sort_points
+from .hierarchy import HierarchicalGrid
+from .interface import Anchors, CellForces
+from .load_set import LoadSet
+from .loads import Load
+from .mapping import Mapping
+from .material import Material, MaterialError
+from .material_points import Body
+from .nodes import EMPTY
+from .point_table import PointTable
 from .point_view import PointView
-from .time_integration import Anchors, Nodes, PointForces, Points, Totals, advance_steps
-from .transfer import point_energies, scatter_momentum
-
-# Largest stable Courant number found by trial for uGIMP MUSL on this grid, with one to three points a
-# cell and direction; 1.0 still held in every trial. See tests/mpm_service/test_mpm_waves.py.
-COURANT_LIMIT = 0.8
+from .scheme import Scheme
+from .splitting import find_oversized, split_points
+from .time_integration import Nodes, TimeIntegration
 
 FloatArray = NDArray[np.float64]
-
+IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Energies:
@@ -38,54 +43,59 @@ class Energies:
         Of the material points now. Velocities lag half a step behind positions, so their sum swings about
         the true total by the first order of the time step.
     edge_work : float
-        Done on the body by edge conditions since step 0.
+        Done on the body by boundary conditions since step 0.
     interface_work : float
         Done by IVC and anchor forces, force times displacement of what it acts on.
-    damping_loss : float
-        Taken out by damping.
+    load_work : float
+        Done by tractions, body forces and absorbing edges (these: negative).
+    damping_loss, friction_loss : float
+        Taken out by damping and by crack faces that rub.
+    dissipated : float
+        By the materials.
     """
 
     kinetic: float
     strain: float
     edge_work: float
     interface_work: float
+    load_work: float
     damping_loss: float
-
-
-def _array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
-    array = np.ascontiguousarray(value, dtype=np.float64)
-    if array.shape != shape:
-        raise ValueError(f"{name}: shape {shape} is needed, got {array.shape}")
-    if not np.all(np.isfinite(array)):
-        bad = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise ValueError(f"{name}[{', '.join(map(str, bad))}] = {array[bad]!r}: must be finite")
-    return array
+    friction_loss: float
+    dissipated: float
 
 
 class MaterialPointSolver:
-    """Explicit material point solver: uGIMP, MUSL, FLIP, small-strain elasticity, at most one crack.
+    """Explicit material point solver.
 
     Parameters
     ----------
-    grid : Grid
+    grid : Grid or HierarchicalGrid
         Background grid; holds the body with at least one cell of margin.
     body : Body
-        Points, made for the same cell size.
-    material : IsotropicElastic
-        Material of all points.
+        Points, made for the same cells.
+    material : Material or sequence of Material
+        Material of all points, or those that ``body.material`` counts in.
     thickness : float
-        Thickness of the body [m].
+        Thickness of a plane body [m]; 1 in space.
     time_step : float
         [s], at most ``stable_time_step``.
-    edge_conditions : sequence of EdgeCondition
-        Prescribed edge displacements.
-    crack : Crack, optional
-        One straight crack.
-    damping_rate : float
-        Mass-proportional damping c [1/s]: momentum on the grid is multiplied by ``exp(-c dt)`` each step.
-    initial_velocity_gradient : (2, 2) array_like, optional
-        Points start with the velocity ``L x`` [1/s], x from the coordinates' origin. Edges are then taken to
+    edge_conditions : sequence of EdgeCondition or NodeCondition
+        Prescribed motion of faces and nodes.
+    cracks : sequence of Crack
+        Plane bodies only.
+    damping : Damping or float
+        Damping; a number is the mass-proportional rate on the grid [1/s].
+    initial_velocity_gradient : (d, d) array_like, optional
+        Points start with the velocity ``L x`` [1/s], x from the coordinates' origin. Faces are then taken to
         have moved with the velocity of their first interval before step 0, else to have been at rest.
+    scheme : Scheme
+        Interpolation, time integration, transfer.
+    loads : sequence of Load
+        Body forces, tractions, absorbing edges.
+    initial_velocity : (n, d) array_like, optional
+        Velocity of each point at step 0 [m/s].
+    threads : int
+        Threads for the sweeps over the points.
 
     Raises
     ------
@@ -94,68 +104,96 @@ class MaterialPointSolver:
 
     Notes
     -----
-    A step follows Eqs 17-24, with the nodal velocity re-mapped from momenta. After a ``SolverError`` the
-    state is that of a half-done step: restore a saved one.
+    A step is described in ``time_integration``. After a ``SolverError`` the state is that of a half-done step:
+    restore a saved one.
     """
 
     def __init__(
         self,
-        grid: Grid,
+        grid: Grid | HierarchicalGrid,
         body: Body,
-        material: IsotropicElastic,
+        material: Material | Sequence[Material],
         thickness: float,
         time_step: float,
-        edge_conditions: Sequence[EdgeCondition] = (),
-        crack: Crack | None = None,
-        damping_rate: float = 0.0,
+        edge_conditions: Sequence[EdgeCondition | NodeCondition] = (),
+        cracks: Sequence[Crack] = (),
+        damping: Damping | float = 0.0,
         initial_velocity_gradient: ArrayLike | None = None,
+        *,
+        scheme: Scheme | None = None,
+        loads: Sequence[Load] = (),
+        initial_velocity: ArrayLike | None = None,
+        threads: int = 1,
     ) -> None:
-        if not (np.isfinite(thickness) and thickness > 0.0):
-            raise ValueError(f"thickness = {thickness!r}: a positive length [m] is needed")
-        if not (np.isfinite(damping_rate) and damping_rate >= 0.0):
-            raise ValueError(f"damping_rate = {damping_rate!r}: must not be negative [1/s]")
-        _check_fit(grid, body)
+        self.scheme = scheme or Scheme()
         self.grid = grid
         self.body = body
-        self.material = material
+        self.materials: tuple[Material, ...] = (material,) if isinstance(material, Material) else tuple(material)
         self.thickness = float(thickness)
-        self.time_step = float(time_step)
+        self.damping = damping if isinstance(damping, Damping) else Damping(grid_rate=float(damping))
         self.edge_conditions = tuple(edge_conditions)
-        self.crack = crack
-        self.damping_rate = float(damping_rate)
+        self._coarse = grid.grid if isinstance(grid, HierarchicalGrid) else grid
+        refined = grid.refinements if isinstance(grid, HierarchicalGrid) else ()
+        if int(threads) != threads or threads < 1:
+            raise ValueError(f"threads = {threads!r}: a whole number of at least 1 is needed")
+        self._check()
+        self.time_step = float(time_step)
         if not (np.isfinite(time_step) and 0.0 < time_step <= self.stable_time_step):
             raise ValueError(
                 f"time_step = {time_step!r} s: must be above 0 and at most {self.stable_time_step:.6g} s "
-                f"(Courant number {COURANT_LIMIT}, cell {grid.cell_size:.6g} m, pressure wave "
-                f"{material.pressure_wave_speed:.6g} m/s); this one has Courant number "
+                f"(Courant number {self.scheme.courant_limit} for {self.scheme}, cell "
+                f"{self._smallest_cell:.6g} m, wave speed {self._wave_speed:.6g} m/s); this one has Courant number "
                 f"{self.courant_number:.4g}"
             )
-        self._mesh = grid.mesh(body.point_size)
-        self._law = material.law()
-        self._edges = edge_set(self.edge_conditions, body.lower, body.upper)
-        self._crack = crack_fields(crack, self._mesh, body.position)
-        count = body.count
-        rows = np.zeros((count, COLUMNS))
-        rows[:, [X, Y]] = body.position
-        rows[:, MASS] = body.weight * material.density * body.point_size**2 * self.thickness
-        self._started_moving = initial_velocity_gradient is not None
-        if initial_velocity_gradient is not None:
-            gradient = _array("initial_velocity_gradient", initial_velocity_gradient, (2, 2))
-            rows[:, [VX, VY]] = body.position @ gradient.T
-        self._points = Points(rows, np.arange(count), np.arange(count))
-        table = grid.node_count + self._crack.near_node.size
-        self._nodes = Nodes(np.zeros((table, 5)), np.zeros((table, 4)), np.zeros((table, 2)))
-        self._totals = Totals(np.array([count], dtype=np.int64), np.zeros(1), np.zeros(1), np.zeros(1), np.zeros(1))
-        sort_points(rows, self._points.ids, self._points.row_of, count, self._mesh)
-        self._active = reachable_nodes(rows, count, self._mesh)
-        self._reaction = np.zeros(len(self.edge_conditions))
-        self._anchors = _no_anchors(0)
-        self._anchor_ivc = np.zeros(0, dtype=np.int64)
-        self._ivc_points: list[NDArray[np.int64]] = []
+        self._table = PointTable(body, self.materials, self.thickness)
+        self._set_velocities(initial_velocity_gradient, initial_velocity)
+        rows = self._coarse.node_count if not isinstance(grid, HierarchicalGrid) else grid.node_count
+        self.cracks = CrackSet(cracks, grid, self._table.reference, self._reach()) if cracks else None
+        if self.cracks is not None:
+            rows = self.cracks.row_count
+        half = 0.5 / body.points_per_cell
+        self._mapping = Mapping(
+            grid, self._table.points, self.scheme, half, rows, self.cracks, int(threads)
+        )
+        boundary = BoundarySet(
+            self.edge_conditions,
+            self._coarse,
+            body.lower,
+            body.upper,
+            self.time_step,
+            initial_velocity_gradient is not None,
+            refined,
+        )
+        self._balance = ForceBalance()
+        self._cells = CellForces(self._mapping, [])
+        self._anchors = Anchors(
+            np.zeros((0, body.dimension)), np.zeros(0, dtype=np.int64), self._mapping, self.cracks
+        )
+        self._applied = _AppliedLoads(loads, self) if loads else None
+        densest = max(m.density for m in self.materials)
+        self._integration = TimeIntegration(
+            self._mapping,
+            Nodes.zeros(rows, body.dimension),
+            self.scheme,
+            boundary,
+            self.cracks,
+            self._table.update_stress,
+            self.time_step,
+            EMPTY * densest * self._smallest_cell**body.dimension * self.thickness,
+            self.damping,
+            self._balance,
+        )
         self._step = 0
-        self.points = PointView(body, material, self.thickness, self._points, self._totals.alive)
+        self._set_loads()
+        self.points = PointView(self._table, lambda: self._mapping.alive)
+        self._sort()
 
-    # ---- what a run can ask ------------------------------------------------------------------------
+    # ---- what a run can ask ----------------------------------------------------------------------------
+
+    @property
+    def material(self) -> Material:
+        """The first material."""
+        return self.materials[0]
 
     @property
     def step(self) -> int:
@@ -168,72 +206,90 @@ class MaterialPointSolver:
         return self._step * self.time_step
 
     @property
+    def _smallest_cell(self) -> float:
+        sizes = self.grid.cell_sizes if isinstance(self.grid, HierarchicalGrid) else (self.grid.cell_size,)
+        return float(min(sizes))
+
+    @property
+    def _wave_speed(self) -> float:
+        return float(max(m.pressure_wave_speed for m in self.materials))
+
+    @property
     def courant_number(self) -> float:
-        """Pressure wave speed times time step over cell size."""
-        return self.material.pressure_wave_speed * self.time_step / self.grid.cell_size
+        """Fastest wave speed at rest times time step over the smallest cell (Eq 31)."""
+        return self._wave_speed * self.time_step / self._smallest_cell
 
     @property
     def stable_time_step(self) -> float:
         """Largest allowed time step [s]."""
-        return COURANT_LIMIT * self.grid.cell_size / self.material.pressure_wave_speed
+        return self.scheme.courant_limit * self._smallest_cell / self._wave_speed
 
     @property
     def points_lost(self) -> int:
         """Points that have left the grid and take no further part."""
-        return self.points.count - int(self._totals.alive[0])
+        return self._table.count - self._mapping.alive
 
     @property
     def anchor_displacement(self) -> FloatArray:
-        """Displacement of the anchors since registration [m], (n, 2)."""
+        """Displacement of the anchors since registration [m], (n, d)."""
         return self._anchors.displacement.copy()
 
     @property
     def anchor_velocity(self) -> FloatArray:
-        """Displacement increment of the last step over the time step [m/s], (n, 2)."""
+        """Displacement increment of the last step over the time step [m/s], (n, d)."""
         return self._anchors.velocity.copy()
 
     @property
     def edge_reaction(self) -> FloatArray:
-        """Force each edge condition put on the body in the last step, along its component [N]."""
-        return self._reaction.copy()
+        """Force each boundary condition put on the body in the last step, along its component [N]."""
+        return self._integration.boundary.reaction.copy()
 
     @property
-    def crack_opening(self) -> tuple[FloatArray, FloatArray]:
-        """Distance from the crack's first point (k,) and relative displacement of the faces (k, 2) [m].
+    def kinetic_energy(self) -> float:
+        """Of the points [J]."""
+        c = self._table.columns
+        rows = self._table.points.rows[: self._mapping.alive]
+        velocity = rows[:, c.velocity : c.gradient]
+        return 0.5 * float(np.sum(rows[:, c.mass] * np.einsum("ij,ij->i", velocity, velocity)))
 
-        The columns are opening (along the normal, positive when open) and sliding (upper face relative to
-        the lower one, along the crack). Upper is left of the direction of travel.
-        """
-        if self.crack is None:
-            return np.zeros(0), np.zeros((0, 2))
-        marker = self._crack.marker
-        relative = marker[:, :2] - marker[:, 2:]
-        tangent = np.array([self._crack.tangent_x, self._crack.tangent_y])
-        normal = np.array([-tangent[1], tangent[0]])
-        return (
-            np.linspace(0.0, self.crack.length, marker.shape[0]),
-            np.stack([relative @ normal, relative @ tangent], axis=1),
-        )
+    @property
+    def residual(self) -> float:
+        """Out-of-balance force of the last step over the largest of the forces at work; see ``damping.ForceBalance``."""
+        return self._integration.residual
 
     def energies(self) -> Energies:
         """Energies now and work so far [J]."""
-        kinetic, strain = point_energies(self._points.rows, self._totals.alive[0], self._law)
+        totals = self._integration.totals
         return Energies(
-            float(kinetic),
-            float(strain),
-            float(self._totals.edge_work[0]),
-            float(self._totals.interface_work[0]),
-            float(self._totals.damping_loss[0]),
+            self.kinetic_energy,
+            float(np.sum(self._table.by_material("strain_energy")[self.points.alive])),
+            totals.edge_work,
+            self._cells.work + self._anchors.work,
+            self._applied.work if self._applied else 0.0,
+            totals.damping_loss,
+            totals.friction_loss,
+            float(np.sum(self._table.by_material("dissipated"))),
         )
 
-    # ---- coupling ----------------------------------------------------------------------------------
+    def stop(self) -> None:
+        """Set the velocities of all points to zero."""
+        c = self._table.columns
+        self._table.points.rows[:, c.velocity : c.gradient] = 0.0
+
+    def set_velocity(self, velocity: ArrayLike) -> None:
+        """Set the velocity of each point [m/s], (n, d), by id."""
+        c = self._table.columns
+        values = _array("velocity", velocity, (self._table.count, c.dimension))
+        self._table.points.rows[self._table.points.row_of, c.velocity : c.gradient] = values
+
+    # ---- coupling --------------------------------------------------------------------------------------
 
     def register_anchors(self, position: ArrayLike, ivc: ArrayLike) -> None:
         """Place massless anchors before the first step.
 
         Parameters
         ----------
-        position : (n, 2) array_like
+        position : (n, d) array_like
             Reference positions [m].
         ivc : (n,) array_like of int
             Interface volume cell of each anchor, from 0.
@@ -244,43 +300,21 @@ class MaterialPointSolver:
             If an anchor has no material around it, or steps have been made already.
         """
         self._only_at_start("register_anchors")
+        dimension = self.body.dimension
         place = np.ascontiguousarray(position, dtype=np.float64)
         if place.ndim != 2:
-            raise ValueError(f"position: shape (n, 2) is needed, got {place.shape}")
-        place = _array("position", place, (place.shape[0], 2))
+            raise ValueError(f"position: shape (n, {dimension}) is needed, got {place.shape}")
+        place = _array("position", place, (place.shape[0], dimension))
         cell = np.ascontiguousarray(ivc, dtype=np.int64)
         if cell.shape != (place.shape[0],):
             raise ValueError(f"ivc: shape ({place.shape[0]},) is needed, got {cell.shape}")
         if cell.size and cell.min() < 0:
             raise ValueError(f"ivc[{int(cell.argmin())}] = {int(cell.min())}: must not be negative")
-        if self._ivc_points:
-            _check_cells(cell, self._ivc_points)
-        anchors = _no_anchors(place.shape[0])
-        anchors.position[:] = place
-        if self.crack is not None:
-            anchors.local[:] = self.crack.local(place)
-            follow_crack(self._crack, self._mesh)
-        self._nodes.momentum[:] = 0.0
-        scatter_momentum(
-            self._points.rows,
-            self._totals.alive[0],
-            self._points.ids,
-            self._mesh,
-            self._law,
-            self._crack,
-            self._nodes.momentum,
-        )
-        weigh_anchors(
-            anchors.position,
-            anchors.displacement,
-            anchors.local,
-            self._mesh,
-            self._crack,
-            self._nodes.momentum,
-            anchors.node,
-            anchors.weight,
-        )
-        lonely = np.flatnonzero(anchors.weight.sum(axis=1) == 0.0)
+        if self._cells.cells:
+            _check_cells(cell, self._cells.cells)
+        anchors = Anchors(place, cell, self._mapping, self.cracks)
+        self._integration.gather_mass()
+        lonely = np.flatnonzero(anchors.weigh(self._integration.nodes.momentum) == 0.0)
         if lonely.size:
             k = int(lonely[0])
             raise ValueError(
@@ -288,14 +322,14 @@ class MaterialPointSolver:
                 f"cell of this anchor ({lonely.size} such anchors)"
             )
         self._anchors = anchors
-        self._anchor_ivc = cell
+        self._set_loads()
 
-    def register_interface_cells(self, lower: ArrayLike, upper: ArrayLike) -> NDArray[np.int64]:
+    def register_interface_cells(self, lower: ArrayLike, upper: ArrayLike) -> IntArray:
         """Find the material points of each interface volume cell (IVC) before the first step.
 
         Parameters
         ----------
-        lower, upper : (m, 2) array_like
+        lower, upper : (m, d) array_like
             Corners in the reference frame [m]; a point on the lower side belongs, on the upper side not.
 
         Returns
@@ -309,27 +343,29 @@ class MaterialPointSolver:
             If a cell that holds anchors holds no points.
         """
         self._only_at_start("register_interface_cells")
+        dimension = self.body.dimension
         low = np.ascontiguousarray(lower, dtype=np.float64)
         if low.ndim != 2:
-            raise ValueError(f"lower: shape (m, 2) is needed, got {low.shape}")
-        low = _array("lower", low, (low.shape[0], 2))
+            raise ValueError(f"lower: shape (m, {dimension}) is needed, got {low.shape}")
+        low = _array("lower", low, (low.shape[0], dimension))
         high = _array("upper", upper, low.shape)
         place = self.body.position
         cells = [np.flatnonzero(np.all((place >= a) & (place < b), axis=1)) for a, b in zip(low, high, strict=True)]
-        _check_cells(self._anchor_ivc, cells)
-        self._ivc_points = cells
+        _check_cells(self._anchors.ivc, cells)
+        self._cells = CellForces(self._mapping, cells)
+        self._set_loads()
         return np.array([c.size for c in cells], dtype=np.int64)
 
     def advance(self, steps: int, ivc_force: ArrayLike | None = None, anchor_force: ArrayLike | None = None) -> None:
-        """Advance under forces that stay constant meanwhile.
+        """Advance under interface forces that stay constant meanwhile.
 
         Parameters
         ----------
         steps : int
             Number of steps.
-        ivc_force : (m, 2) array_like, optional
+        ivc_force : (m, d) array_like, optional
             Force on each interface volume cell [N], spread equally over its points (Eq 87).
-        anchor_force : (n, 2) array_like, optional
+        anchor_force : (n, d) array_like, optional
             Force on each anchor [N], put on the nodes by the weights that give the anchor its velocity, so
             its work is force times anchor displacement.
 
@@ -338,64 +374,78 @@ class MaterialPointSolver:
         ValueError
             If a shape is wrong or a value not finite.
         SolverError
-            If a point moves by more than a cell in a step, or its velocity is not finite.
+            If a point moves by more than a cell in a step, its velocity is not finite, or its material has no
+            stress for its deformation.
         """
         if int(steps) != steps or steps < 0:
             raise ValueError(f"steps = {steps!r}: a whole number of at least 0 is needed")
-        steps = int(steps)
-        count = self._anchors.position.shape[0]
-        self._anchors.force[:] = 0.0 if anchor_force is None else _array("anchor_force", anchor_force, (count, 2))
-        loads = self._point_forces(ivc_force)
-        time = self.time_step * np.arange(self._step - 1, self._step + steps + 1, dtype=np.float64)
-        motion = np.zeros((steps + 2, len(self.edge_conditions)))
-        for k, condition in enumerate(self.edge_conditions):
-            motion[:, k] = condition.displacement(time)
-            if self._step == 0 and steps > 0:
-                before = motion[2, k] - motion[1, k] if self._started_moving else 0.0
-                motion[0, k] = motion[1, k] - before
-        done, runaway, self._active = advance_steps(
-            steps,
-            self.time_step,
-            float(np.exp(-self.damping_rate * self.time_step)),
-            self.material.density * self.grid.cell_size**2 * self.thickness,
-            self._mesh,
-            self._law,
-            self._points,
-            self._nodes,
-            self._active,
-            self._crack,
-            self._edges,
-            motion,
-            self._reaction,
-            self._anchors,
-            loads,
-            self._totals,
-        )
-        self._step += int(done)
-        if runaway >= 0:
-            self._raise_runaway(int(runaway))
+        anchors = self._anchors
+        anchors.force[:] = 0.0 if anchor_force is None else _array("anchor_force", anchor_force, anchors.force.shape)
+        shape = (len(self._cells.cells), self.body.dimension)
+        self._cells.set_forces(None if ivc_force is None else _array("ivc_force", ivc_force, shape))
+        for _ in range(int(steps)):
+            self._advance_one()
 
-    # ---- saving ------------------------------------------------------------------------------------
+    def _advance_one(self) -> None:
+        run = self._integration
+        try:
+            if run.must_sort():
+                self._sort()
+            run.step(self._step)
+        except MaterialError as error:
+            place = self.points.position[error.point]
+            if not np.all(np.isfinite(self.points.velocity[error.point])):
+                self._raise_runaway()
+            raise SolverError(f"step {self._step}: {error}", self._step, error.point, tuple(place.tolist())) from error
+        if not run.largest_increment < self._smallest_cell:
+            self._raise_runaway()
+        self._step += 1
+
+    def _sort(self) -> None:
+        """Drop lost points, split those that have entered finer cells, sort."""
+        mapping = self._mapping
+        mapping.drop_lost()
+        if isinstance(self.grid, HierarchicalGrid):
+            while True:
+                rows = self._table.points.rows
+                found = find_oversized(self.grid.arrays, rows, 0, mapping.alive, self.body.points_per_cell)
+                if not found.size:
+                    break
+                split = split_points(rows, found)
+                self._table.replace_by_four(split.parent, split.rows, split.reference_offset, mapping.alive)
+                mapping.points = self._table.points
+                mapping.alive += 3 * found.size
+                if self.cracks is not None:
+                    self.cracks.set_points(self._table.reference)
+        self._integration.sort()
+
+    # ---- saving ----------------------------------------------------------------------------------------
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Everything that changes during a run, as copies; ``restore`` takes it back exactly."""
-        return {
+        totals = self._integration.totals
+        state: dict[str, NDArray[Any]] = {
             "step": np.array([self._step], dtype=np.int64),
             "configuration": self._configuration(),
-            "rows": self._points.rows.copy(),
-            "ids": self._points.ids.copy(),
-            "active_nodes": self._active.copy(),
-            "alive": self._totals.alive.copy(),
-            "travel": self._totals.travel.copy(),
-            "edge_work": self._totals.edge_work.copy(),
-            "interface_work": self._totals.interface_work.copy(),
-            "damping_loss": self._totals.damping_loss.copy(),
-            "edge_reaction": self._reaction.copy(),
+            "totals": np.array(
+                [
+                    totals.edge_work,
+                    totals.damping_loss,
+                    totals.friction_loss,
+                    self._cells.work,
+                    self._anchors.work,
+                    self._applied.work if self._applied else 0.0,
+                    self._integration.residual,
+                ]
+            ),
+            "edge_reaction": self._integration.boundary.reaction.copy(),
             "anchor_displacement": self._anchors.displacement.copy(),
             "anchor_velocity": self._anchors.velocity.copy(),
-            "crack_marker": self._crack.marker.copy(),
-            "crack_marker_found": self._crack.marker_found.copy(),
         }
+        state |= self._table.state() | self._mapping.state()
+        if self.cracks is not None:
+            state |= self.cracks.state()
+        return state
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
         """Take back a state of a solver built and registered alike; the run goes on bit for bit.
@@ -409,105 +459,194 @@ class MaterialPointSolver:
         missing = sorted(set(here) - set(state))
         if missing:
             raise ValueError(f"state: field {missing[0]!r} is missing")
-        for name, mine in here.items():
-            if name != "active_nodes" and np.shape(state[name]) != mine.shape:
-                raise ValueError(f"state[{name!r}]: shape {mine.shape} is needed, got {np.shape(state[name])}")
+        count = np.size(state["ids"])
+        splits = isinstance(self.grid, HierarchicalGrid)
+        fits = count >= self.body.count if splits else count == self.body.count
+        if np.shape(state["rows"]) != (count, self._table.columns.count) or not fits:
+            raise ValueError(
+                f"state['rows']: shape {np.shape(state['rows'])} does not fit a body of {self.body.count} points"
+            )
+        for name in ("configuration", "totals", "edge_reaction", "anchor_displacement", "anchor_velocity", "begin"):
+            if np.shape(state[name]) != here[name].shape:
+                raise ValueError(f"state[{name!r}]: shape {here[name].shape} is needed, got {np.shape(state[name])}")
         if not np.array_equal(np.asarray(state["configuration"]), here["configuration"]):
-            raise ValueError("state['configuration']: belongs to another grid, body, material or time step")
+            raise ValueError("state['configuration']: belongs to another grid, body, material, scheme or time step")
         self._step = int(np.asarray(state["step"])[0])
-        self._points.rows[:] = state["rows"]
-        self._points.ids[:] = state["ids"]
-        self._points.row_of[self._points.ids] = np.arange(self.points.count)
-        self._active = np.array(state["active_nodes"], dtype=np.int64)
-        for name, target in (
-            ("alive", self._totals.alive),
-            ("travel", self._totals.travel),
-            ("edge_work", self._totals.edge_work),
-            ("interface_work", self._totals.interface_work),
-            ("damping_loss", self._totals.damping_loss),
-            ("edge_reaction", self._reaction),
-            ("anchor_displacement", self._anchors.displacement),
-            ("anchor_velocity", self._anchors.velocity),
-            ("crack_marker", self._crack.marker),
-            ("crack_marker_found", self._crack.marker_found),
-        ):
-            target[:] = state[name]
-        for table in self._nodes:
+        for table in self._integration.nodes:
             table[:] = 0.0
-        if self.crack is not None:
-            find_near_nodes(self._crack, self._mesh)
+        self._table.restore(state)
+        self._mapping.points = self._table.points
+        self._mapping.restore(state)
+        totals = self._integration.totals
+        values = [float(v) for v in np.asarray(state["totals"])]
+        totals.edge_work, totals.damping_loss, totals.friction_loss = values[:3]
+        self._cells.work, self._anchors.work = values[3:5]
+        if self._applied:
+            self._applied.work = values[5]
+        self._integration.residual = values[6]
+        self._integration.boundary.reaction[:] = state["edge_reaction"]
+        self._anchors.displacement[:] = state["anchor_displacement"]
+        self._anchors.velocity[:] = state["anchor_velocity"]
+        if self.cracks is not None:
+            self.cracks.set_points(self._table.reference)
+            self.cracks.restore(state)
+            self._integration.make_room()
 
-    # ---- inner -------------------------------------------------------------------------------------
+    # ---- inner -----------------------------------------------------------------------------------------
+
+    def _check(self) -> None:
+        if not (np.isfinite(self.thickness) and self.thickness > 0.0):
+            raise ValueError(f"thickness = {self.thickness!r}: a positive length [m] is needed")
+        if not self.materials:
+            raise ValueError("material: at least one is needed")
+        if self.body.dimension != len(self._coarse.cells):
+            raise ValueError(
+                f"body: has {self.body.dimension} dimensions, the grid has {len(self._coarse.cells)}"
+            )
+        for k, material in enumerate(self.materials):
+            in_space = material.assumption == "three_dimensional"
+            if in_space != (self.body.dimension == 3):
+                raise ValueError(
+                    f"material[{k}].assumption = {material.assumption!r}: does not fit a body in "
+                    f"{self.body.dimension} dimensions"
+                )
+        if self.body.dimension == 3:
+            if self.thickness != 1.0:
+                raise ValueError(f"thickness = {self.thickness!r}: must be 1 in three dimensions")
+            if self.scheme.interpolation not in ("linear", "ugimp"):
+                raise ValueError(
+                    f"scheme: interpolation {self.scheme.interpolation!r} is for plane bodies; in three dimensions "
+                    "there are linear and ugimp"
+                )
+        if isinstance(self.grid, HierarchicalGrid) and self.grid.refinements and self.scheme.interpolation == "bspline":
+            raise ValueError("scheme: interpolation 'bspline' needs a uniform grid; a refined one takes linear or GIMP")
+        top = int(self.body.material.max(initial=0))
+        if top >= len(self.materials) or int(self.body.material.min(initial=0)) < 0:
+            raise ValueError(f"body.material: {top} is used, but there are {len(self.materials)} materials")
+        _check_fit(self._coarse, self.body)
+
+    def _set_velocities(self, gradient: ArrayLike | None, velocity: ArrayLike | None) -> None:
+        c = self._table.columns
+        values = np.zeros((self._table.count, c.dimension))
+        if gradient is not None:
+            shape = (c.dimension, c.dimension)
+            values += self.body.position @ _array("initial_velocity_gradient", gradient, shape).T
+        if velocity is not None:
+            values += _array("initial_velocity", velocity, values.shape)
+        self._table.points.rows[:, c.velocity : c.gradient] = values
+
+    def _reach(self) -> float:
+        """How far the nodes that a point feels may lie from it along an axis [cells]."""
+        if self.scheme.interpolation == "cpgimp":
+            return 2.5  # one and a domain stretched to three cells; wider ones near a crack are refused
+        return 1.5
+
+    def _set_loads(self) -> None:
+        applied = [self._applied] if self._applied else []
+        self._integration.loads = [self._cells, self._anchors, *applied]
 
     def _configuration(self) -> FloatArray:
-        return np.array(
-            [
-                *self.grid.origin,
-                self.grid.cell_size,
-                *self.grid.cells,
-                self.time_step,
-                self.thickness,
-                self.damping_rate,
-                self.body.point_size,
-                float(self.body.weight.sum()),
-                self.material.young,
-                self.material.poisson,
-                self.material.density,
-                float(self.material.assumption == "plane_stress"),
-            ],
-            dtype=np.float64,
-        )
+        grids = self.grid.grids if isinstance(self.grid, HierarchicalGrid) else (self.grid,)
+        numbers = [
+            self.time_step,
+            self.thickness,
+            self.damping.grid_rate,
+            self.damping.point_rate,
+            self.damping.force_scaling,
+            float(self.body.points_per_cell),
+            float(self.body.weight.sum()),
+            float(self.scheme.order),
+            float(self.scheme.period),
+            *(float(sum(map(ord, repr(self.scheme)))),),
+        ]
+        for grid in grids:
+            numbers += [*grid.origin, grid.cell_size, *map(float, grid.cells)]
+        for material in self.materials:
+            numbers += [material.density, material.pressure_wave_speed, float(len(material.assumption))]
+        return np.array(numbers, dtype=np.float64)
 
     def _only_at_start(self, name: str) -> None:
         if self._step != 0:
             raise ValueError(f"{name}: allowed before the first step only, {self._step} steps are done")
 
-    def _point_forces(self, ivc_force: ArrayLike | None) -> PointForces:
-        if ivc_force is None or not self._ivc_points:
-            if ivc_force is not None:
-                _array("ivc_force", ivc_force, (0, 2))
-            return PointForces(np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
-        force = _array("ivc_force", ivc_force, (len(self._ivc_points), 2))
-        alive = self.points.alive
-        ids = []
-        shares = []
-        for points, total in zip(self._ivc_points, force, strict=True):
-            living = points[alive[points]]
-            if living.size:
-                ids.append(living)
-                shares.append(np.broadcast_to(total / living.size, (living.size, 2)))
-        if not ids:
-            return PointForces(np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
-        return PointForces(np.concatenate(ids), np.ascontiguousarray(np.concatenate(shares)))
-
-    def _raise_runaway(self, row: int) -> None:
-        x, y = (float(v) for v in self._points.rows[row, [X, Y]])
-        vx, vy = (float(v) for v in self._points.rows[row, [VX, VY]])
-        point = int(self._points.ids[row])
+    def _raise_runaway(self) -> None:
+        c = self._table.columns
+        rows = self._table.points.rows[: self._mapping.alive]
+        size = np.abs(rows[:, c.increment : c.increment + c.dimension]).max(axis=1)
+        bad = np.flatnonzero(~(size < self._smallest_cell))
+        row = int(bad[0]) if bad.size else int(np.argmax(size))
+        point = int(self._table.points.ids[row])
+        place = tuple(rows[row, : c.dimension].tolist())
+        velocity = tuple(float(f"{v:.6g}") for v in rows[row, c.velocity : c.gradient])
         raise SolverError(
-            f"velocity of material point {point} at ({x:.9g}, {y:.9g}) m runs away in step {self._step}: "
-            f"last value ({vx:.6g}, {vy:.6g}) m/s, next move above one cell ({self.grid.cell_size:.6g} m) or "
-            f"not finite; lower time_step (Courant number is {self.courant_number:.3g}) or the interface "
-            "forces",
+            f"velocity of material point {point} at {place} m runs away in step {self._step}: last value {velocity} "
+            f"m/s, next move above one cell ({self._smallest_cell:.6g} m) or not finite; lower time_step (Courant "
+            f"number is {self.courant_number:.3g}) or the interface forces",
             self._step,
             point,
-            (x, y),
+            place,
         )
 
 
-def _no_anchors(count: int) -> Anchors:
-    return Anchors(
-        np.zeros((count, 2)),
-        np.zeros((count, 2)),
-        np.zeros((count, 2)),
-        np.zeros((count, 2)),
-        np.zeros((count, 2)),
-        np.zeros((count, 4), dtype=np.int64),
-        np.zeros((count, 4)),
-    )
+class _AppliedLoads:
+    """The load set of a solver, as one of its nodal loads."""
+
+    def __init__(self, loads: Sequence[Load], solver: MaterialPointSolver) -> None:
+        table = solver._table
+        self._solver = solver
+        self._set = LoadSet(
+            loads,
+            table.reference,
+            solver.body.half,
+            solver.body.weight,
+            solver.body.lower,
+            solver.body.upper,
+            solver.thickness,
+            solver.time_step,
+        )
+        self.work = 0.0
+
+    def add_forces(self, step: int, momentum: FloatArray) -> None:
+        """Apply tractions, body forces and dashpots."""
+        mapping = self._solver._mapping
+        points = mapping.points
+        self._set.apply(
+            step,
+            points.rows,
+            points.row_of,
+            mapping.alive,
+            momentum,
+            (mapping.active,),
+            self._stencils_at,
+            lambda rows, force: mapping.scatter_point_forces(rows, force, momentum),
+        )
+
+    def follow(self, momentum: FloatArray, motion: FloatArray, time_step: float) -> None:
+        """Book the work."""
+        mapping = self._solver._mapping
+        work = self._set.work(motion, momentum, (mapping.active,), mapping.points.rows, mapping.alive)
+        self.work += float(work.sum())
+
+    def _stencils_at(self, position: FloatArray, reference: FloatArray) -> tuple[IntArray, FloatArray, IntArray]:
+        mapping, cracks = self._solver._mapping, self._solver.cracks
+        node, weight, count = mapping.linear_stencils(position)
+        if cracks is not None:
+            cracks.assign_fields_at(reference, node, count)
+        mapping.list_nodes(node, count)
+        return node, weight, count
 
 
-def _check_cells(ivc: NDArray[np.int64], cells: Sequence[NDArray[np.int64]]) -> None:
+def _array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
+    array = np.ascontiguousarray(value, dtype=np.float64)
+    if array.shape != shape:
+        raise ValueError(f"{name}: shape {shape} is needed, got {array.shape}")
+    if not np.all(np.isfinite(array)):
+        bad = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise ValueError(f"{name}[{', '.join(map(str, bad))}] = {array[bad]!r}: must be finite")
+    return array
+
+
+def _check_cells(ivc: IntArray, cells: Sequence[IntArray]) -> None:
     for k in np.unique(ivc):
         if k >= len(cells):
             raise ValueError(f"ivc = {int(k)}: only {len(cells)} interface cells are registered")
@@ -519,13 +658,7 @@ def _check_fit(grid: Grid, body: Body) -> None:
     h = grid.cell_size
     if abs(body.cell_size / h - 1.0) > 1e-9:
         raise ValueError(f"body.cell_size = {body.cell_size!r} m: the grid's cell size is {h!r} m")
-    for axis, name in enumerate("xy"):
-        offset = (body.lower[axis] - grid.origin[axis]) / h
-        if abs(offset - round(offset)) > 1e-6:
-            raise ValueError(
-                f"body lower {name} = {float(body.lower[axis])!r} m is not on a grid line; nearest is "
-                f"{float(grid.origin[axis] + round(offset) * h)!r} m"
-            )
+    for axis, name in zip(range(body.dimension), "xyz", strict=False):
         low = (body.lower[axis] - grid.lower[axis]) / h
         high = (grid.upper[axis] - body.upper[axis]) / h
         if min(low, high) < 1.0 - 1e-6:

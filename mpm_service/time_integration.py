@@ -1,259 +1,272 @@
-"""The explicit MUSL step (Eqs 17-24) and the loop over steps."""
+"""One explicit step of the material point method (Eqs 17-24).
+
+The update schemes differ in when stress is computed::
+
+    USF    nodes <- points | stress | forces | new velocities | points <- nodes
+    USL    nodes <- points | forces | new velocities | points <- nodes | stress
+    MUSL   as USL, with nodal velocities mapped again from the new points for the stress
+    USAVG  half of it as in USF, half as in MUSL
+
+Transfers from nodes to points form one family. With S the way from nodes to points, S+ the mass-weighted way back
+and ``Q_k u = sum_j (I - S+ S)^j u``, j = 0 ... k - 1:
+
+    FLIP     v_p <- v_p + S (v_new - v_old)          XPIC(k)  v_p <- S (Q_k v_old + v_new - v_old)
+    PIC      v_p <- S v_new                          FMPM(k)  v_p <- S Q_k v_new
+
+Q_k is the k-th approximation of the inverse of the full mass matrix times the lumped one. With FMPM(k > 1) the
+strain of MUSL and USAVG at the end of a step follows ``(1 - a) v + a Q_k v``, v the velocity mapped again and
+a = `STRAIN_SHARE`: on a uniform lattice with two points a cell waves of number k then have
+``omega^2 = c^2 k^2 (1 + k^2 h^2 (-1/12 + 3 a/16 + (c dt/h)^2 / 12))``, so a = 0 leaves ripples behind a front and
+a = 1 sends them ahead of it. Filtering v_new itself, without mapping it again, would do the same to long waves, but
+it amplifies the shortest ones, which the mapping suppresses: it is unstable from a Courant number of about 0.4.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from .anchors import move_anchors, scatter_anchor_forces, weigh_anchors
-from .boundary import EdgeSet, impose_edges, locate_edges, move_edges
-from .crack import CrackFields, follow_crack, hold_faces_apart, move_crack
-from .grid import Mesh
-from .material_points import DX, DY
-from .materials import Law
-from .ordering import drop_lost, reachable_nodes, sort_points
-from .transfer import deform_points, scatter_momentum, scatter_point_forces, update_points
+from . import nodes as node_kernels
+from .boundary_set import BoundarySet
+from .cracks import CrackSet
+from .damping import Damping, ForceBalance, damp_points, scale_forces
+from .mapping import TRAVEL, Mapping
+from .scheme import Scheme
 
-# A node with less than this share of a full node's mass counts as empty. The share is so small because
-# the force on a sliver falls with the root of its mass only: dropping more would visibly lose momentum.
-_EMPTY = 1e-30
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
-
-class Points(NamedTuple):
-    """Point table in memory order, with the map to stable ids."""
-
-    rows: NDArray[np.float64]
-    ids: NDArray[np.int64]
-    row_of: NDArray[np.int64]
+#: Share of the filtered velocity in the strain update of FMPM(k > 1).
+STRAIN_SHARE = 0.7
 
 
 class Nodes(NamedTuple):
-    """Nodal tables; see ``transfer``."""
+    """Nodal tables; one row per grid node, then one per extra velocity field."""
 
-    momentum: NDArray[np.float64]
-    motion: NDArray[np.float64]
-    remapped: NDArray[np.float64]
+    momentum: FloatArray
+    """(R, 1 + 2 d) mass, momentum, force."""
+    motion: FloatArray
+    """(R, 2 d) velocity that moves the points, and what is added to or becomes their velocity."""
+    velocity: FloatArray
+    """(R, d) nodal velocity of the strain update."""
+    filtered: FloatArray
+    """(R, d) Q_k of a velocity."""
+    returned: FloatArray
+    """(R, d) zero between passes of the filter."""
 
-
-class Anchors(NamedTuple):
-    """Anchor tables."""
-
-    position: NDArray[np.float64]
-    local: NDArray[np.float64]
-    displacement: NDArray[np.float64]
-    velocity: NDArray[np.float64]
-    force: NDArray[np.float64]
-    node: NDArray[np.int64]
-    weight: NDArray[np.float64]
-
-
-class PointForces(NamedTuple):
-    """Forces on material points by stable id [N]."""
-
-    ids: NDArray[np.int64]
-    force: NDArray[np.float64]
+    @classmethod
+    def zeros(cls, rows: int, dimension: int) -> Nodes:
+        """Empty tables."""
+        return cls(
+            np.zeros((rows, 1 + 2 * dimension)),
+            np.zeros((rows, 2 * dimension)),
+            *(np.zeros((rows, dimension)) for _ in range(3)),
+        )
 
 
-class Totals(NamedTuple):
-    """Numbers that live on between calls, one-entry arrays."""
+@dataclass
+class Totals:
+    """What a run has summed up since step 0 [J]."""
 
-    alive: NDArray[np.int64]
-    travel: NDArray[np.float64]
-    """Upper bound of any point's way since the last sort [m]."""
-    edge_work: NDArray[np.float64]
-    interface_work: NDArray[np.float64]
-    damping_loss: NDArray[np.float64]
+    edge_work: float = 0.0
+    damping_loss: float = 0.0
+    friction_loss: float = 0.0
 
 
-@njit(cache=True, nogil=True)
-def _clear(
-    listed: NDArray[np.int64],
-    momentum: NDArray[np.float64],
-    motion: NDArray[np.float64],
-    remapped: NDArray[np.float64],
-) -> None:
-    for i in range(listed.size):
-        n = listed[i]
-        for k in range(5):
-            momentum[n, k] = 0.0
-        for k in range(4):
-            motion[n, k] = 0.0
-        for k in range(2):
-            remapped[n, k] = 0.0
+class NodalLoad(Protocol):
+    """A load that puts forces on nodes and learns from their new velocities."""
+
+    def add_forces(self, step: int, momentum: FloatArray) -> None:
+        """Add forces [N] to the force columns."""
+
+    def follow(self, momentum: FloatArray, motion: FloatArray, time_step: float) -> None:
+        """Move along with the new velocities and book the work."""
 
 
-@njit(cache=True, nogil=True)
-def _accelerate(
-    listed: NDArray[np.int64],
-    momentum: NDArray[np.float64],
-    motion: NDArray[np.float64],
-    least: float,
-    time_step: float,
-    keep: float,
-) -> None:
-    """Old and new nodal velocity: ``(v + dt f / m) exp(-c dt)`` (Eqs 17-19)."""
-    for i in range(listed.size):
-        n = listed[i]
-        mass = momentum[n, 0]
-        if mass > least:
-            inverse = 1.0 / mass
-            for axis in range(2):
-                old = momentum[n, 1 + axis] * inverse
-                new = keep * (old + time_step * momentum[n, 3 + axis] * inverse)
-                motion[n, axis] = new
-                motion[n, 2 + axis] = new - old
-        else:
-            momentum[n, 0] = 0.0
+@dataclass
+class TimeIntegration:
+    """Everything a step works on.
 
-
-@njit(cache=True, nogil=True)
-def _divide(listed: NDArray[np.int64], momentum: NDArray[np.float64], remapped: NDArray[np.float64]) -> None:
-    """Re-mapped momentum to velocity (Eq 21)."""
-    for i in range(listed.size):
-        n = listed[i]
-        mass = momentum[n, 0]
-        inverse = 1.0 / mass if mass > 0.0 else 0.0
-        remapped[n, 0] *= inverse
-        remapped[n, 1] *= inverse
-
-
-@njit(cache=True, nogil=True)
-def _kinetic(listed: NDArray[np.int64], momentum: NDArray[np.float64], motion: NDArray[np.float64]) -> float:
-    """Kinetic energy of the listed nodes after the update [J]."""
-    total = 0.0
-    for i in range(listed.size):
-        n = listed[i]
-        total += 0.5 * momentum[n, 0] * (motion[n, 0] ** 2 + motion[n, 1] ** 2)
-    return total
-
-
-@njit(cache=True, nogil=True)
-def advance_steps(
-    steps: int,
-    time_step: float,
-    keep: float,
-    full_mass: float,
-    mesh: Mesh,
-    law: Law,
-    points: Points,
-    nodes: Nodes,
-    active: NDArray[np.int64],
-    crack: CrackFields,
-    edges: EdgeSet,
-    edge_displacement: NDArray[np.float64],
-    reaction: NDArray[np.float64],
-    anchors: Anchors,
-    loads: PointForces,
-    totals: Totals,
-) -> tuple[int, int, NDArray[np.int64]]:
-    """Run steps; returns the steps done, the row of a runaway point or -1, and the reachable nodes.
-
-    ``edge_displacement`` (steps + 2, conditions) begins one step before the first and ends at the end of the
-    last one [m]. ``keep`` is the damping factor of a step.
+    Parameters
+    ----------
+    mapping : Mapping
+        Points and their sweeps.
+    nodes : Nodes
+        Nodal tables.
+    scheme : Scheme
+    boundary : BoundarySet
+    cracks : CrackSet or None
+    stress : callable
+        Updates the stress of a slice of rows from their deformation.
+    time_step : float
+        [s]
+    least_mass : float
+        Nodes with no more mass count as empty [kg].
+    damping : Damping
+    balance : ForceBalance
+        Measures the residual of each step.
+    loads : sequence of NodalLoad
     """
-    rows = points.rows
-    ids = points.ids
-    row_of = points.row_of
-    load_ids = loads.ids
-    load_force = loads.force
-    least = _EMPTY * full_mass
-    conditions = edges.axis.size
-    nearest = np.zeros(conditions, dtype=np.int64)
-    beyond = np.zeros(conditions)
-    velocity = np.zeros(conditions)
-    velocity_before = np.zeros(conditions)
-    selected = np.empty(loads.ids.size, dtype=np.int64)
-    force = np.empty((loads.ids.size, 2))
-    for step in range(steps):
-        count = totals.alive[0]
-        if totals.travel[0] >= mesh.cell_size:
-            sort_points(rows, ids, row_of, count, mesh)
-            active = reachable_nodes(rows, count, mesh)
-            totals.travel[0] = 0.0
-        if crack.on:
-            follow_crack(crack, mesh)
-        twins = crack.base + np.arange(crack.near_count[0])
-        _clear(active, nodes.momentum, nodes.motion, nodes.remapped)
-        _clear(twins, nodes.momentum, nodes.motion, nodes.remapped)
 
-        scatter_momentum(rows, count, ids, mesh, law, crack, nodes.momentum)
-        loaded = 0
-        for k in range(load_ids.size):
-            row = row_of[load_ids[k]]
-            if row < count:
-                selected[loaded] = row
-                force[loaded, 0] = load_force[k, 0]
-                force[loaded, 1] = load_force[k, 1]
-                loaded += 1
-        scatter_point_forces(rows, ids, selected[:loaded], force[:loaded], mesh, crack, nodes.momentum)
-        weigh_anchors(
-            anchors.position,
-            anchors.displacement,
-            anchors.local,
-            mesh,
-            crack,
-            nodes.momentum,
-            anchors.node,
-            anchors.weight,
-        )
-        scatter_anchor_forces(anchors.node, anchors.weight, anchors.force, nodes.momentum)
+    mapping: Mapping
+    nodes: Nodes
+    scheme: Scheme
+    boundary: BoundarySet
+    cracks: CrackSet | None
+    stress: Callable[[slice], None]
+    time_step: float
+    least_mass: float
+    damping: Damping
+    balance: ForceBalance
+    loads: Sequence[NodalLoad] = ()
+    totals: Totals = field(default_factory=Totals)
+    largest_increment: float = 0.0
+    residual: float = 0.0
 
-        _accelerate(active, nodes.momentum, nodes.motion, least, time_step, keep)
-        _accelerate(twins, nodes.momentum, nodes.motion, least, time_step, keep)
-        for k in range(conditions):
-            velocity_before[k] = (edge_displacement[step + 1, k] - edge_displacement[step, k]) / time_step
-            velocity[k] = (edge_displacement[step + 2, k] - edge_displacement[step + 1, k]) / time_step
-        locate_edges(edges, mesh, edge_displacement[step + 1], nearest, beyond)
-        work, not_lost = move_edges(
-            edges,
-            mesh,
-            crack,
-            nodes.momentum,
-            nodes.motion,
-            nearest,
-            beyond,
-            velocity_before,
-            velocity,
-            time_step,
-            keep,
-            reaction,
-        )
-        totals.edge_work[0] += work
-        if crack.on:
-            hold_faces_apart(crack, nodes.momentum, nodes.motion, 2)
+    def must_sort(self) -> bool:
+        """Have points travelled, or cracks changed, so that points must be sorted before the next step?"""
+        if self.cracks is not None:
+            self.cracks.follow()
+            if self.cracks.changed:
+                return True
+        return self.mapping.travel > TRAVEL * self.mapping.smallest_cell
+
+    def sort(self) -> None:
+        """Sort the points."""
+        self.make_room()
+        self.mapping.sort(self.nodes)
+        if self.cracks is not None:
+            self.cracks.changed = False
+
+    def make_room(self) -> None:
+        """Enlarge the nodal tables where cracks have grown beyond them."""
+        if self.cracks is not None and self.cracks.row_count > self.nodes.momentum.shape[0]:
+            self.nodes = Nodes.zeros(self.cracks.row_count, self.mapping.columns.dimension)
+            self.mapping.make_room(self.cracks.row_count)
+
+    def gather_mass(self) -> None:
+        """Bring nodal masses up to date outside a step."""
+        if self.cracks is not None:
+            self.cracks.follow()
+        self.mapping.tabulate(0)
+        node_kernels.clear(self.mapping.active, self.nodes.momentum)
+        self.mapping.scatter_state(self.nodes.momentum)
+
+    def step(self, number: int) -> None:
+        """Make the step from `number` to `number` + 1; sets `largest_increment` [m].
+
+        If that is not below a cell the step was stopped half done.
+        """
+        mapping, tables, scheme, dt = self.mapping, self.nodes, self.scheme, self.time_step
+        mapping.tabulate(number)
+        self._locate(number)
+        active = mapping.active
+        for table in (tables.momentum, tables.velocity):
+            node_kernels.clear(active, table)
+
+        mapping.scatter_state(tables.momentum)
+        if scheme.integration in ("usf", "usavg"):
+            node_kernels.drop_slivers(active, tables.momentum, self.least_mass)
+            node_kernels.divide(active, tables.momentum, 1, tables.momentum, tables.velocity)
+            self._constrain(tables.velocity, before=True)
+            mapping.deform(tables.velocity, dt if scheme.integration == "usf" else 0.5 * dt, False, self.stress)
+            # All again and not the forces alone: domains that convect have changed with the strain.
+            node_kernels.clear(active, tables.momentum)
+            node_kernels.clear(active, tables.velocity)
+            mapping.scatter_state(tables.momentum)
+        self.balance.before_loads(tables.momentum, (active,))
+        for load in self.loads:
+            load.add_forces(number, tables.momentum)
+        active = mapping.active  # loads may reach further nodes
+        node_kernels.drop_slivers(active, tables.momentum, self.least_mass)
+        if self.damping.force_factor != 1.0:
+            scale_forces(active, tables.momentum, self.damping.force_factor)
+        self._accelerate(active)
+        self.residual = self.balance.residual(tables.momentum, tables.motion, (active,), dt)
+        keep = self._choose_transfer(number, active)
+        if scheme.integration in ("musl", "usavg"):
+            self.largest_increment = mapping.update_remap(tables.motion, keep, dt, tables.velocity)
+        elif scheme.integration == "usl":
+            self.largest_increment = mapping.update_deform(tables.motion, keep, dt, self.stress)
+        else:
+            self.largest_increment = mapping.update(tables.motion, keep, dt)
+        if not self.largest_increment < mapping.smallest_cell:
+            return
+        for load in self.loads:
+            load.follow(tables.momentum, tables.motion, dt)
+        if scheme.integration in ("musl", "usavg"):
+            node_kernels.divide(active, tables.momentum, 0, tables.velocity, tables.velocity)
+            self._constrain(tables.velocity)
+            if scheme.transfer == "fmpm" and scheme.order > 1 and scheme.filters(number):
+                node_kernels.copy_velocity(active, tables.velocity, tables.filtered)
+                self._filter(active, tables.velocity, before=False)
+                node_kernels.blend(active, tables.filtered, STRAIN_SHARE, tables.velocity)
+            mapping.deform(tables.velocity, dt if scheme.integration == "musl" else 0.5 * dt, True, self.stress)
+        elif scheme.integration == "usf":
+            mapping.move()
+        if self.cracks is not None:
+            self.cracks.move(mapping.points.rows, mapping.points.row_of)
+        if self.damping.point_rate > 0.0:
+            c = mapping.columns
+            self.totals.damping_loss += damp_points(
+                mapping.points.rows, mapping.alive, c.velocity, c.mass, self.damping.point_factor(dt)
+            )
+        mapping.travel += self.largest_increment
+
+    def _locate(self, number: int) -> None:
+        if self.cracks is None:
+            self.boundary.locate(number)
+        else:
+            self.boundary.locate(number, self.cracks.field_map)
+
+    def _constrain(self, velocity: FloatArray, before: bool = False) -> None:
+        """Impose boundary conditions and contact on a table of nodal velocities."""
+        self.boundary.impose(self.nodes.momentum, velocity, before)
+        if self.cracks is not None:
+            self.cracks.hold(self.nodes.momentum, velocity, self.time_step)
+
+    def _accelerate(self, active: IntArray) -> None:
+        """New nodal velocities under all forces, damping, boundary conditions and contact."""
+        momentum, motion, dt = self.nodes.momentum, self.nodes.motion, self.time_step
+        keep = self.damping.grid_factor(dt)
+        node_kernels.accelerate(active, momentum, dt, keep, motion)
+        work, not_lost = self.boundary.accelerate(momentum, motion, keep)
+        self.totals.edge_work += work
+        if self.cracks is not None:
+            self.totals.friction_loss += self.cracks.hold(momentum, motion, dt, motion.shape[1] // 2)
         if keep < 1.0:
             # A node's kinetic energy before damping is its energy after it over keep^2.
-            after = _kinetic(active, nodes.momentum, nodes.motion)
-            after += _kinetic(twins, nodes.momentum, nodes.motion)
-            totals.damping_loss[0] += after * (1.0 / (keep * keep) - 1.0) - not_lost
-        totals.interface_work[0] += move_anchors(
-            anchors.node,
-            anchors.weight,
-            anchors.force,
-            nodes.motion,
-            time_step,
-            anchors.displacement,
-            anchors.velocity,
-        )
-        if crack.on:
-            move_crack(crack, mesh, nodes.momentum, nodes.motion, time_step)
+            after = node_kernels.kinetic_energy(active, momentum, motion)
+            self.totals.damping_loss += after * (1.0 / keep**2 - 1.0) - not_lost
 
-        runaway, largest = update_points(rows, count, ids, mesh, crack, nodes.motion, nodes.remapped, time_step)
-        if runaway >= 0:
-            return step, runaway, active
-        work = 0.0
-        for k in range(loaded):
-            work += force[k, 0] * rows[selected[k], DX] + force[k, 1] * rows[selected[k], DY]
-        totals.interface_work[0] += work
-        totals.travel[0] += largest
-        _divide(active, nodes.momentum, nodes.remapped)
-        _divide(twins, nodes.momentum, nodes.remapped)
-        impose_edges(edges, mesh, crack, nodes.momentum, nodes.remapped, nearest, beyond, velocity)
-        if crack.on:
-            hold_faces_apart(crack, nodes.momentum, nodes.remapped, 0)
-        if deform_points(rows, count, ids, mesh, crack, nodes.remapped, time_step) > 0:
-            totals.alive[0] = drop_lost(rows, ids, row_of, count, mesh)
-    return steps, -1, active
+    def _choose_transfer(self, number: int, active: IntArray) -> float:
+        """Turn new velocity and increment into what moves the points and what becomes of their velocity.
+
+        Returns the share of its old velocity that a point keeps.
+        """
+        scheme, tables = self.scheme, self.nodes
+        if not scheme.filters(number):
+            return 1.0
+        dimension = tables.velocity.shape[1]
+        if scheme.transfer == "xpic":
+            node_kernels.divide(active, tables.momentum, 1, tables.momentum, tables.filtered)
+            self._filter(active, tables.filtered.copy(), before=True)
+            node_kernels.add_to_increment(active, tables.filtered, tables.motion)
+            return 0.0
+        node_kernels.copy_velocity(active, tables.motion, tables.filtered)
+        if scheme.transfer == "fmpm" and scheme.order > 1:
+            self._filter(active, tables.motion[:, :dimension], before=False)
+        node_kernels.replace_motion(active, tables.filtered, tables.motion)
+        return 0.0
+
+    def _filter(self, active: IntArray, start: FloatArray, before: bool) -> None:
+        """Turn `filtered`, which holds `start`, into Q_k of it."""
+        tables = self.nodes
+        for _ in range(self.scheme.passes):
+            self.mapping.scatter_filtered(tables.filtered, tables.returned)
+            node_kernels.filter_step(active, tables.momentum, start, tables.returned, tables.filtered)
+            self._constrain(tables.filtered, before)

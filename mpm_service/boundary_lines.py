@@ -1,0 +1,296 @@
+"""The rule that imposes prescribed motion on the nodes across a face.
+
+One grid line across a right face, in cells; ``e`` is where the face is now, ``c`` the node nearest to it::
+
+        f          c    e     c+1
+    ----o----------o----|------o----
+        |<--- 1+s ----->|
+                   |<-s>|
+
+The face moves with ``v_b``. Node ``f`` is free. Every node k from ``c`` outwards follows the straight line
+through the face's velocity and that of ``f``,
+
+    v_k = v_b + r_k (v_f - v_b),    r_k = s_k / s_f,
+
+so a point at the face sees the gradient of its neighbours inside (for s = 0: the face node moves with
+``v_b``, the next one with ``2 v_b - v_f``). The forces on constrained nodes go to ``f`` by the transposed
+rule, which makes the constraint do no work of its own. The same rule completes a quadratic B-spline or a
+linear basis at the face, since all of them reproduce a velocity that is linear over the nodes.
+
+A face is the set of grid lines across it, so the plane and space differ in the number of lines only.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+# A straight line through the domain of a point reaches at most this many nodes beyond the face.
+_OUTWARD_NODES = 3
+
+
+class Faces(NamedTuple):
+    """Conditions in kernel form; those on nodes have axis -1, so that numbers stay those of the user's list."""
+
+    axis: IntArray
+    sign: IntArray
+    component: IntArray
+    normal: IntArray
+    """Condition that gives the face's normal displacement, or -1."""
+    reference: FloatArray
+    """Face coordinate in the reference state [m]."""
+    nodes: IntArray
+    """(3,) nodes in each direction, 1 for the missing one of the plane."""
+    stride: IntArray
+    """(3,) row distance of neighbours."""
+    held: NDArray[np.uint8]
+    """(grid rows, d) 1 where a node condition holds the component; (0, 0) without node conditions."""
+    row: IntArray
+    """Nodes of node conditions."""
+    owner: IntArray
+    """Node condition of each of them."""
+
+
+class Place(NamedTuple):
+    """Where the faces are in the current step, and how fast."""
+
+    nearest: IntArray
+    beyond: FloatArray
+    before: FloatArray
+    """Velocity over the step before [m/s]."""
+    after: FloatArray
+    """Velocity over the step to make [m/s]."""
+
+
+class Lines(NamedTuple):
+    """Constrained nodes, grid line by grid line; a node of a node condition is a line of its own."""
+
+    condition: IntArray
+    free: IntArray
+    """Row of the free node, or -1."""
+    length: IntArray
+    """Constrained nodes of the line."""
+    leader: IntArray
+    """First line with the same free node and component: faces of two directions share it at their corner."""
+    node: IntArray
+    """(lines, 3) rows of the constrained nodes."""
+    ratio: FloatArray
+    """(lines, 3) r_k of each."""
+    force: FloatArray
+    """Force on the free node with what its lines carry to it [N], at leaders."""
+    inertia: FloatArray
+    """Mass that moves with it [kg]."""
+    carried: FloatArray
+    """Momentum that a jump of the prescribed velocity takes from it [kg m/s]."""
+
+
+def no_lines(capacity: int) -> Lines:
+    condition, free, length, leader = (np.zeros(capacity, dtype=np.int64) for _ in range(4))
+    node = np.zeros((capacity, _OUTWARD_NODES), dtype=np.int64)
+    ratio = np.zeros((capacity, _OUTWARD_NODES))
+    force, inertia, carried = (np.zeros(capacity) for _ in range(3))
+    return Lines(condition, free, length, leader, node, ratio, force, inertia, carried)
+
+
+@njit(cache=True, nogil=True)
+def locate_faces(
+    faces: Faces, place: Place, window: FloatArray, origin: FloatArray, inverse_cell: float, time_step: float
+) -> None:
+    """Node nearest to each moved face, how far the face lies outside of it [cells], and the velocities."""
+    for k in range(faces.axis.size):
+        place.before[k] = (window[1, k] - window[0, k]) / time_step
+        place.after[k] = (window[2, k] - window[1, k]) / time_step
+        axis = faces.axis[k]
+        if axis < 0:
+            continue
+        at = faces.reference[k]
+        if faces.normal[k] >= 0:
+            at += window[1, faces.normal[k]]
+        xi = (at - origin[axis]) * inverse_cell
+        place.nearest[k] = int(np.floor(xi + 0.5))
+        place.beyond[k] = faces.sign[k] * (xi - place.nearest[k])
+
+
+@njit(inline="always")
+def _field_row(near: IntArray, base: int, capacity: int, which: int, row: int) -> int:
+    """Row of a velocity field of a grid node, or -1 where the node has no such field."""
+    if which == 0:
+        return row
+    k = near[row]
+    return base + (which - 1) * capacity + k if k >= 0 else -1
+
+
+@njit(cache=True, nogil=True)
+def draw_lines(
+    faces: Faces,
+    nearest: IntArray,
+    beyond: FloatArray,
+    near: IntArray,
+    base: int,
+    capacity: int,
+    extra: int,
+    momentum: FloatArray,
+    lines: Lines,
+) -> int:
+    """Fill the table of lines with nodes that carry material; returns their number."""
+    axis, sign, component = faces.axis, faces.sign, faces.component
+    nodes, stride, held = faces.nodes, faces.stride, faces.held
+    condition, frees, counts, node, ratio = lines.condition, lines.free, lines.length, lines.node, lines.ratio
+    corner_lines = np.empty(frees.size, dtype=np.int64)
+    corners = 0
+    some_held = held.size > 0
+    index = np.zeros(3, dtype=np.int64)
+    made = 0
+    for k in range(axis.size):
+        across = axis[k]
+        if across < 0:
+            continue
+        step = sign[k]
+        comp = component[k]
+        first, second = (across + 1) % 3, (across + 2) % 3
+        inner = nearest[k] - step
+        for j in range(nodes[second]):
+            index[second] = j
+            for i in range(nodes[first]):
+                index[first] = i
+                # Where faces of other directions hold the component too, the last condition has the node.
+                taken = False
+                shared = False
+                corner = False
+                for q in range(axis.size):
+                    other = axis[q]
+                    if other >= 0 and other != across and component[q] == comp:
+                        outside = sign[q] * (index[other] - nearest[q])
+                        shared = shared or outside >= 0
+                        taken = taken or (outside >= 0 and q > k)
+                        corner = corner or outside == -1
+                if taken:
+                    continue
+                start = i * stride[first] + j * stride[second]
+                for which in range(1 + extra):
+                    free = -1
+                    if not shared and 0 <= inner < nodes[across]:
+                        row = start + inner * stride[across]
+                        if not (some_held and held[row, comp]):
+                            free = _field_row(near, base, capacity, which, row)
+                            if free >= 0 and not momentum[free, 0] > 0.0:
+                                free = -1
+                    count = 0
+                    for outward in range(_OUTWARD_NODES):
+                        at = nearest[k] + outward * step
+                        if at < 0 or at >= nodes[across]:
+                            continue
+                        row = start + at * stride[across]
+                        if some_held and held[row, comp]:
+                            continue
+                        n = _field_row(near, base, capacity, which, row)
+                        if n >= 0 and momentum[n, 0] > 0.0:
+                            node[made, count] = n
+                            ratio[made, count] = (beyond[k] - outward) / (beyond[k] + 1.0) if free >= 0 else 0.0
+                            count += 1
+                    if count > 0:
+                        condition[made] = k
+                        frees[made] = free
+                        counts[made] = count
+                        lines.leader[made] = made
+                        if corner and free >= 0:
+                            for earlier in corner_lines[:corners]:
+                                if frees[earlier] == free and component[condition[earlier]] == comp:
+                                    lines.leader[made] = earlier
+                                    break
+                            corner_lines[corners] = made
+                            corners += 1
+                        made += 1
+    for i in range(faces.row.size):
+        for which in range(1 + extra):
+            n = _field_row(near, base, capacity, which, faces.row[i])
+            if n >= 0 and momentum[n, 0] > 0.0:
+                node[made, 0] = n
+                ratio[made, 0] = 0.0
+                condition[made] = faces.owner[i]
+                frees[made] = -1
+                counts[made] = 1
+                lines.leader[made] = made
+                made += 1
+    return made
+
+
+@njit(cache=True, nogil=True)
+def accelerate_lines(
+    lines: Lines,
+    made: int,
+    component: IntArray,
+    before: FloatArray,
+    after: FloatArray,
+    momentum: FloatArray,
+    motion: FloatArray,
+    time_step: float,
+    keep: float,
+    reaction: FloatArray,
+) -> tuple[float, float]:
+    """Momentum equation of the constrained and the free nodes, with reactions; returns work and loss kept."""
+    dimension = motion.shape[1] // 2
+    reaction[:] = 0.0
+    not_lost = 0.0
+    for i in range(made):
+        k = lines.condition[i]
+        free = lines.free[i]
+        if free < 0:
+            continue
+        pull = 1 + dimension + component[k]
+        leader = lines.leader[i]
+        if leader == i:
+            lines.force[i] = momentum[free, pull]
+            lines.inertia[i] = momentum[free, 0]
+            lines.carried[i] = 0.0
+        for c in range(lines.length[i]):
+            r = lines.ratio[i, c]
+            mass = momentum[lines.node[i, c], 0]
+            lines.force[leader] += r * momentum[lines.node[i, c], pull]
+            lines.inertia[leader] += r * r * mass
+            lines.carried[leader] += r * (1.0 - r) * mass * (after[k] - before[k])
+    for i in range(made):
+        k = lines.condition[i]
+        free = lines.free[i]
+        comp = component[k]
+        pull = 1 + dimension + comp
+        old_free = before[k]
+        new_free = after[k]
+        if free >= 0:
+            leader = lines.leader[i]
+            old_free = momentum[free, 1 + comp] / momentum[free, 0]
+            gain = (time_step * lines.force[leader] - lines.carried[leader]) / lines.inertia[leader]
+            new_free = keep * (old_free + gain)
+            motion[free, comp] = new_free
+            motion[free, dimension + comp] = new_free - old_free
+        for c in range(lines.length[i]):
+            r = lines.ratio[i, c]
+            n = lines.node[i, c]
+            old = before[k] + r * (old_free - before[k])
+            new = after[k] + r * (new_free - after[k])
+            motion[n, comp] = new
+            motion[n, dimension + comp] = new - old
+            reaction[k] += (1.0 - r) * (momentum[n, 0] * (new - old) - time_step * momentum[n, pull])
+            not_lost += 0.5 * momentum[n, 0] * new * new * (1.0 / (keep * keep) - 1.0)
+    work = 0.0
+    for k in range(reaction.size):
+        work += 0.5 * reaction[k] * (after[k] + before[k])
+        reaction[k] /= time_step
+    return work, not_lost
+
+
+@njit(cache=True, nogil=True)
+def impose_lines(lines: Lines, made: int, component: IntArray, prescribed: FloatArray, velocity: FloatArray) -> None:
+    """Nodal velocities on the straight lines through the prescribed ones."""
+    for i in range(made):
+        k = lines.condition[i]
+        comp = component[k]
+        inner = velocity[lines.free[i], comp] if lines.free[i] >= 0 else prescribed[k]
+        for c in range(lines.length[i]):
+            velocity[lines.node[i, c], comp] = prescribed[k] + lines.ratio[i, c] * (inner - prescribed[k])

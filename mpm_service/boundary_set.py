@@ -1,0 +1,299 @@
+"""Prescribed motion of faces and nodes, imposed on the nodal tables of a step; the rule is in `boundary_lines`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .boundary_lines import Faces, Place, accelerate_lines, draw_lines, impose_lines, locate_faces, no_lines
+from .conditions import FACES, EdgeCondition, NodeCondition
+from .time_functions import Schedule
+from .velocity_fields import FieldMap, single_field
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+# Grid lines on either side of a face that its rule may use [cells].
+_REACH_CELLS = 3.0
+# A node this close to a box counts as inside [cells]: covers round-off of decimal input.
+_BOX_TOLERANCE = 1e-6
+_NO_FIELDS = single_field(0)
+
+
+class LatticeGrid(Protocol):
+    """What is read of a grid: its level 0, a uniform lattice whose rows come first, x fastest, then y, then z."""
+
+    @property
+    def origin(self) -> Sequence[float]:
+        """Lowest node [m]."""
+
+    @property
+    def cell_size(self) -> float:
+        """Side of a cell [m]."""
+
+    @property
+    def cells(self) -> Sequence[int]:
+        """Cells in each direction."""
+
+
+class BoundarySet:
+    """All boundary conditions of a body on the uniform level of a grid, in the plane or in space.
+
+    A step calls `locate`, then `impose` and `accelerate` with masses in ``momentum``.
+
+    Parameters
+    ----------
+    conditions : sequence of EdgeCondition or NodeCondition
+    grid : LatticeGrid
+        The grid; conditions act on its level 0.
+    lower, upper : (d,) array_like
+        Corners of the body in the reference state [m].
+    time_step : float
+        [s].
+    started_moving : bool
+        Faces are taken to have moved with the velocity of their first step before step 0, else to have been
+        at rest.
+    refined : sequence of (lower, upper)
+        Rectangles of the grid that have finer cells [m]: no face may come near them.
+
+    Attributes
+    ----------
+    reaction : (k,) ndarray
+        Force each condition put on the body in the last step, along its component [N].
+
+    Raises
+    ------
+    ValueError
+        If two conditions prescribe the same component of the same face or node, a condition does not fit the
+        grid's dimension, a box holds no node, or a face or box comes near a refined rectangle.
+    """
+
+    def __init__(
+        self,
+        conditions: Sequence[EdgeCondition | NodeCondition],
+        grid: LatticeGrid,
+        lower: ArrayLike,
+        upper: ArrayLike,
+        time_step: float,
+        started_moving: bool = False,
+        refined: Sequence[tuple[Sequence[float], Sequence[float]]] = (),
+    ) -> None:
+        self.conditions = tuple(conditions)
+        self.reaction = np.zeros(len(self.conditions))
+        self._time_step = float(time_step)
+        self._started_moving = started_moving
+        self._refined = tuple((np.asarray(a, np.float64), np.asarray(b, np.float64)) for a, b in refined)
+        self._cell = float(grid.cell_size)
+        self._origin = np.array(grid.origin, dtype=np.float64)
+        names = [f"edge_conditions[{k}]" for k in range(len(self.conditions))]
+        self._schedule = Schedule([c.displacement for c in self.conditions], names, time_step)
+        self._checked: int | None = None
+        self._faces = self._kernel_form(grid, np.asarray(lower, np.float64), np.asarray(upper, np.float64))
+        floats = [np.zeros(len(self.conditions)) for _ in range(3)]
+        self._place = Place(np.zeros(len(self.conditions), dtype=np.int64), *floats)
+        self._fields: FieldMap = _NO_FIELDS
+        self._lines = no_lines(0)
+        self._made = -1
+        if self.conditions:
+            self.locate(0)
+
+    def locate(self, step: int, fields: FieldMap = _NO_FIELDS) -> None:
+        """Find the faces at the start of the step from ``step`` to ``step + 1``, and their velocities.
+
+        Parameters
+        ----------
+        step : int
+            Steps made so far.
+        fields : FieldMap
+            Further velocity fields at cracks, as they are in this step. A line keeps to the field number of its nodes,
+            which is one side of a crack that runs out through the face.
+
+        Raises
+        ------
+        ValueError
+            If a time function gives a bad value, or a face comes near a refined rectangle.
+        """
+        if not self.conditions:
+            return
+        window = self._schedule.window(step)
+        if self._refined and self._checked != self._schedule.first:
+            self._check_refined(self._schedule.values)
+            self._checked = self._schedule.first
+        if step == 0:
+            window = window.copy()
+            window[0] = window[1] - (window[2] - window[1] if self._started_moving else 0.0)
+        self._fields = fields
+        self._made = -1
+        locate_faces(self._faces, self._place, window, self._origin, 1.0 / self._cell, self._time_step)
+
+    def accelerate(self, momentum: FloatArray, motion: FloatArray, keep: float = 1.0) -> tuple[float, float]:
+        """Impose the prescribed velocities in the momentum equation; writes ``motion`` and ``reaction``.
+
+        Parameters
+        ----------
+        momentum : (R, 1 + 2 d) ndarray
+            Mass, momentum and force of each row of the nodal tables [kg, kg m/s, N].
+        motion : (R, 2 d) ndarray
+            New velocity and its increment [m/s], already there for free nodes.
+        keep : float
+            Factor of mass-proportional damping in a step.
+
+        Returns
+        -------
+        work : float
+            Done on the body by the conditions [J].
+        not_lost : float
+            Damping loss that the update of all nodes counts for constrained nodes but that did not happen [J].
+        """
+        if not self.conditions:
+            return 0.0, 0.0
+        self._draw(momentum)
+        work, not_lost = accelerate_lines(
+            self._lines,
+            self._made,
+            self._faces.component,
+            self._place.before,
+            self._place.after,
+            momentum,
+            motion,
+            self._time_step,
+            keep,
+            self.reaction,
+        )
+        return float(work), float(not_lost)
+
+    def impose(self, momentum: FloatArray, velocity: FloatArray, before: bool = False) -> None:
+        """Impose the prescribed velocities on a table of nodal velocities.
+
+        Parameters
+        ----------
+        momentum : (R, 1 + 2 d) ndarray
+            Tells by its masses which rows carry material.
+        velocity : (R, >= d) ndarray
+            Changed in its first d columns [m/s].
+        before : bool
+            The velocities belong to the start of the step, not to its end.
+        """
+        if not self.conditions:
+            return
+        if self._made < 0:
+            self._draw(momentum)
+        prescribed = self._place.before if before else self._place.after
+        impose_lines(self._lines, self._made, self._faces.component, prescribed, velocity)
+
+    def _draw(self, momentum: FloatArray) -> None:
+        near, base, capacity, extra = self._fields.near, self._fields.base, self._fields.capacity, self._fields.extra
+        size = (1 + extra) * self._most_lines
+        if self._lines.free.size < size:
+            self._lines = no_lines(size)
+        self._made = draw_lines(
+            self._faces, self._place.nearest, self._place.beyond, near, base, capacity, extra, momentum, self._lines
+        )
+
+    def _kernel_form(self, grid: LatticeGrid, lower: FloatArray, upper: FloatArray) -> Faces:
+        dimension = len(grid.cells)
+        seen: dict[tuple[str, int], int] = {}
+        axis = np.full(len(self.conditions), -1, dtype=np.int64)
+        sign = np.zeros(len(self.conditions), dtype=np.int64)
+        reference = np.zeros(len(self.conditions))
+        for k, condition in enumerate(self.conditions):
+            if isinstance(condition, EdgeCondition) and condition.axis >= dimension:
+                raise ValueError(
+                    f"edge_conditions[{k}].edge = {condition.edge!r}: allowed in the plane are {', '.join(FACES[:4])}"
+                )
+            if condition.component >= dimension:
+                raise ValueError(
+                    f"edge_conditions[{k}].component = {condition.component}: below {dimension} is needed in "
+                    f"{dimension} dimensions"
+                )
+            if isinstance(condition, NodeCondition):
+                continue
+            key = (condition.edge, condition.component)
+            if key in seen:
+                raise ValueError(
+                    f"edge_conditions[{k}]: edge {condition.edge!r}, component {condition.component} is "
+                    f"already prescribed by edge_conditions[{seen[key]}]"
+                )
+            seen[key] = k
+            axis[k], sign[k] = condition.axis, condition.sign
+            reference[k] = (upper if condition.sign > 0 else lower)[condition.axis]
+        normal = [seen.get((c.edge, c.axis), -1) if isinstance(c, EdgeCondition) else -1 for c in self.conditions]
+        count = np.ones(3, dtype=np.int64)
+        count[:dimension] = np.asarray(grid.cells, dtype=np.int64) + 1
+        stride = np.array([1, count[0], count[0] * count[1]], dtype=np.int64)
+        has_nodes = any(isinstance(c, NodeCondition) for c in self.conditions)
+        held = np.zeros((int(count.prod()), dimension) if has_nodes else (0, 0), dtype=np.uint8)
+        row, owner = self._find_nodes(count, stride, held)
+        across = [int(count.prod() // count[a]) for a in axis if a >= 0]
+        self._most_lines = sum(across) + row.size
+        component = np.array([c.component for c in self.conditions], dtype=np.int64)
+        return Faces(
+            axis, sign, component, np.array(normal, dtype=np.int64), reference, count, stride, held, row, owner
+        )
+
+    def _find_nodes(self, count: IntArray, stride: IntArray, held: NDArray[np.uint8]) -> tuple[IntArray, IntArray]:
+        """Rows of the nodes in boxes and the condition of each; marks them in ``held``."""
+        rows = [np.zeros(0, dtype=np.int64)]
+        owners = [np.zeros(0, dtype=np.int64)]
+        holder = np.full(held.shape, -1, dtype=np.int64)
+        dimension = self._origin.size
+        line = [self._cell * np.arange(count[b]) + self._origin[b] for b in range(dimension)]
+        for k, condition in enumerate(self.conditions):
+            if not isinstance(condition, NodeCondition):
+                continue
+            if len(condition.lower) != dimension:
+                raise ValueError(
+                    f"edge_conditions[{k}].lower = {condition.lower!r}: {dimension} coordinates are needed"
+                )
+            low = np.asarray(condition.lower, np.float64) - _BOX_TOLERANCE * self._cell
+            high = np.asarray(condition.upper, np.float64) + _BOX_TOLERANCE * self._cell
+            self._check_box(k, low, high)
+            inside = [np.flatnonzero((line[b] >= low[b]) & (line[b] <= high[b])) for b in range(dimension)]
+            found = np.zeros(1, dtype=np.int64)
+            for b in reversed(range(dimension)):
+                found = (found[:, None] + inside[b] * stride[b]).ravel()
+            if found.size == 0:
+                raise ValueError(
+                    f"edge_conditions[{k}]: no grid node lies between lower = {condition.lower!r} m and "
+                    f"upper = {condition.upper!r} m (cell {self._cell:.6g} m)"
+                )
+            taken = holder[found, condition.component]
+            if np.any(taken >= 0):
+                raise ValueError(
+                    f"edge_conditions[{k}]: component {condition.component} of {int(np.sum(taken >= 0))} of its nodes "
+                    f"is already prescribed by edge_conditions[{int(taken.max())}]"
+                )
+            holder[found, condition.component] = k
+            held[found, condition.component] = 1
+            rows.append(found.astype(np.int64))
+            owners.append(np.full(found.size, k, dtype=np.int64))
+        return np.concatenate(rows), np.concatenate(owners)
+
+    def _check_box(self, k: int, low: FloatArray, high: FloatArray) -> None:
+        for lower, upper in self._refined:
+            if np.all(low < upper) and np.all(high > lower):
+                raise ValueError(
+                    f"edge_conditions[{k}]: its box overlaps the refined rectangle from {lower.tolist()} to "
+                    f"{upper.tolist()} m; conditions act on the coarsest level only"
+                )
+
+    def _check_refined(self, displacement: FloatArray) -> None:
+        """Refuse a face that comes near a refined rectangle while it moves by ``displacement`` (n, conditions)."""
+        reach = _REACH_CELLS * self._cell
+        for k, condition in enumerate(self.conditions):
+            if not isinstance(condition, EdgeCondition):
+                continue
+            normal = int(self._faces.normal[k])
+            way = displacement[:, normal] if normal >= 0 else np.zeros(1)
+            low = float(self._faces.reference[k] + way.min()) - reach
+            high = float(self._faces.reference[k] + way.max()) + reach
+            for lower, upper in self._refined:
+                if low < upper[condition.axis] and high > lower[condition.axis]:
+                    raise ValueError(
+                        f"edge_conditions[{k}]: face {condition.edge!r} comes within {reach:.6g} m of the refined "
+                        f"rectangle from {lower.tolist()} to {upper.tolist()} m; refinement must stay clear of "
+                        "faces with prescribed motion"
+                    )

@@ -1,0 +1,368 @@
+"""Loads put on the nodal tables, and the work they do.
+
+A traction acts at places on the faces of points, each with the linear functions of the grid over the nodes
+of its cell, so total force and moment are exact wherever the face has moved to::
+
+    n+stride o-----------o             x = x_p + F (X - X_p)    place on the face, two a direction
+             |       x   |             f_I += N_I(x) t A        over nodes that carry material
+           n o-----------o n+1
+
+Nodes with next to no material are left out and the other weights scaled up: a force on a node that only the
+last sliver of a point's domain reaches would not move the body.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from .dashpots import Dashpots
+from .loads import AbsorbingEdge, BodyForce, FacePlaces, Load, Traction, face_places
+from .material_points import columns
+from .stencils import add_forces
+from .time_functions import Constant, Schedule, TimeFunction
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+StencilsAt = Callable[[FloatArray, FloatArray], tuple[IntArray, FloatArray, IntArray]]
+"""``(position (m, d), reference_position (m, d)) -> node (m, K), weight (m, K), count (m,)``: linear functions."""
+ScatterPoints = Callable[[IntArray, FloatArray], None]
+"""``(rows (m,), force (m, d))``: spread forces on points [N] over the nodes by the points' own functions."""
+
+# As for anchors: a node with less than this share of the heaviest node of a stencil is left out.
+_LEAST_MASS_SHARE = 1e-3
+
+
+@njit(cache=True, nogil=True)
+def place_on_faces(
+    rows: FloatArray,
+    row_of: IntArray,
+    alive: int,
+    ids: IntArray,
+    reference: FloatArray,
+    point_reference: FloatArray,
+    position: FloatArray,
+) -> None:
+    """Current positions ``x_p + F (X - X_p)`` of places on points [m]; ``X`` itself where the point is lost."""
+    dimension = reference.shape[1]
+    for i in range(ids.size):
+        row = row_of[ids[i]]
+        for a in range(dimension):
+            if row >= alive:
+                position[i, a] = reference[i, a]
+                continue
+            offset = reference[i, a] - point_reference[ids[i], a]
+            x = rows[row, a] + offset
+            for b in range(dimension):
+                h = rows[row, 2 * dimension + a * dimension + b]
+                x += h * (reference[i, b] - point_reference[ids[i], b])
+            position[i, a] = x
+
+
+@njit(cache=True, nogil=True)
+def area_vectors(
+    rows: FloatArray, row_of: IntArray, alive: int, ids: IntArray, axis: int, area: FloatArray, out: FloatArray
+) -> None:
+    """Current area vectors ``J F^-T N A`` [m^2] of reference faces whose normal is +axis (Nanson)."""
+    dimension = out.shape[1]
+    f = np.eye(3)
+    for i in range(ids.size):
+        row = row_of[ids[i]]
+        if row >= alive:
+            out[i, :] = 0.0
+            continue
+        for a in range(dimension):
+            for b in range(dimension):
+                f[a, b] = rows[row, 2 * dimension + a * dimension + b] + (1.0 if a == b else 0.0)
+        b, c = (axis + 1) % 3, (axis + 2) % 3
+        for a in range(dimension):
+            p, q = (a + 1) % 3, (a + 2) % 3
+            out[i, a] = area[i] * (f[p, b] * f[q, c] - f[q, b] * f[p, c])
+
+
+@njit(cache=True, nogil=True)
+def keep_to_material(
+    row_of: IntArray,
+    alive: int,
+    ids: IntArray,
+    node: IntArray,
+    weight: FloatArray,
+    count: IntArray,
+    momentum: FloatArray,
+) -> None:
+    """Give the weights of nodes with next to no mass to the others, and no node to places on lost points."""
+    for i in range(node.shape[0]):
+        if row_of[ids[i]] >= alive:
+            count[i] = 0
+        heaviest = 0.0
+        for k in range(count[i]):
+            if weight[i, k] > 0.0:
+                heaviest = max(heaviest, momentum[node[i, k], 0])
+        total = 0.0
+        for k in range(count[i]):
+            if not momentum[node[i, k], 0] > _LEAST_MASS_SHARE * heaviest:
+                weight[i, k] = 0.0
+            total += weight[i, k]
+        for k in range(count[i]):
+            weight[i, k] = weight[i, k] / total if total > 0.0 else 0.0
+
+
+@njit(cache=True, nogil=True)
+def stencil_work(node: IntArray, weight: FloatArray, count: IntArray, force: FloatArray, velocity: FloatArray) -> float:
+    """Power [W] of forces that were put on the nodes of stencils."""
+    power = 0.0
+    for i in range(node.shape[0]):
+        for k in range(count[i]):
+            for a in range(force.shape[1]):
+                power += weight[i, k] * force[i, a] * velocity[node[i, k], a]
+    return power
+
+
+@njit(cache=True, nogil=True)
+def _add_weight(listed: IntArray, acceleration: FloatArray, momentum: FloatArray) -> None:
+    """Nodal force of a uniform acceleration: ``sum_p m_p a S_Ip = m_I a``."""
+    dimension = acceleration.size
+    for i in range(listed.size):
+        n = listed[i]
+        for a in range(dimension):
+            momentum[n, 1 + dimension + a] += momentum[n, 0] * acceleration[a]
+
+
+@njit(cache=True, nogil=True)
+def _weight_power(listed: IntArray, acceleration: FloatArray, momentum: FloatArray, velocity: FloatArray) -> float:
+    power = 0.0
+    for i in range(listed.size):
+        n = listed[i]
+        for a in range(acceleration.size):
+            power += momentum[n, 0] * acceleration[a] * velocity[n, a]
+    return power
+
+
+class LoadSet:
+    """All loads of a body.
+
+    A step calls `apply` when internal forces and all other external ones are on the nodes, and `work` when
+    the points' new velocities are known. Without loads both return at once.
+
+    Parameters
+    ----------
+    loads : sequence of Load
+    reference_position : (n, d) ndarray
+        Reference positions of the points by id [m].
+    half : (n,) ndarray
+        Half sides of the points by id [m].
+    weight : (n,) ndarray
+        Share of mass and stiffness of the points by id.
+    lower, upper : (d,) ndarray
+        Corners of the body [m].
+    thickness : float
+        Thickness in the plane [m]; 1 in space.
+    time_step : float
+        [s].
+
+    Raises
+    ------
+    ValueError
+        If a load does not fit the dimension or finds no point face.
+    """
+
+    def __init__(
+        self,
+        loads: Sequence[Load],
+        reference_position: FloatArray,
+        half: FloatArray,
+        weight: FloatArray,
+        lower: FloatArray,
+        upper: FloatArray,
+        thickness: float,
+        time_step: float,
+    ) -> None:
+        self.loads = tuple(loads)
+        self._dimension = reference_position.shape[1]
+        self._reference = reference_position
+        self._time_step = float(time_step)
+        functions: list[TimeFunction] = []
+        self._places: list[FacePlaces | None] = []
+        dampers = []
+        for k, load in enumerate(self.loads):
+            name = f"loads[{k}]"
+            functions.append(Constant(1.0) if isinstance(load, AbsorbingEdge) else load.time_function)
+            if isinstance(load, BodyForce):
+                if not callable(load.acceleration):
+                    self._check_vector(f"{name}.acceleration", np.asarray(load.acceleration))
+                self._places.append(None)
+                continue
+            region = None
+            if isinstance(load, Traction):
+                self._check_vector(f"{name}.vector", np.asarray(load.vector))
+                region = load.region
+            places = face_places(name, load.face, reference_position, half, lower, upper, thickness, region)
+            self._places.append(places)
+            if isinstance(load, AbsorbingEdge):
+                share = places.area * weight[places.ids]
+                dampers.append(share[:, None] * load.impedance(self._dimension))
+        self._schedule = Schedule(functions, [f"loads[{k}].time_function" for k in range(len(self.loads))], time_step)
+        absorbing = [p for p, load in zip(self._places, self.loads, strict=True) if isinstance(load, AbsorbingEdge)]
+        self._dashpots = Dashpots([p for p in absorbing if p is not None], dampers) if absorbing else None
+        self._acting: list[tuple[IntArray, FloatArray, IntArray, FloatArray] | FloatArray | None] = []
+
+    def set_points(self, reference_position: FloatArray) -> None:
+        """Take over the reference positions by id [m] after points were split.
+
+        The piece that keeps the id of its parent also keeps the loaded face: its place follows from the
+        piece's own reference position.
+        """
+        self._reference = reference_position
+
+    def apply(
+        self,
+        step: int,
+        rows: FloatArray,
+        row_of: IntArray,
+        alive: int,
+        momentum: FloatArray,
+        listed: Sequence[IntArray],
+        stencils_at: StencilsAt,
+        scatter_points: ScatterPoints,
+    ) -> None:
+        """Add the loads at the start of a step to the nodal forces.
+
+        Parameters
+        ----------
+        step : int
+            Steps made so far.
+        rows, row_of, alive
+            Point table, row of each id, rows that live.
+        momentum : (R, 1 + 2 d) ndarray
+            Nodal mass, momentum, force; the forces are added to.
+        listed : sequence of (m,) ndarray of int
+            Rows of nodes that may carry mass: of the grid, of extra velocity fields.
+        stencils_at : callable
+            Linear functions at any places; count 0 at a place outside the grid, whose force is then lost.
+        scatter_points : callable
+            Spreads forces on points; used by body forces that are fields.
+
+        Raises
+        ------
+        ValueError
+            If a field or a time function gives a bad value, or points were split without `set_points`.
+        """
+        if not self.loads:
+            return
+        if row_of.size != self._reference.shape[0]:
+            raise ValueError(f"loads know of {self._reference.shape[0]} points, there are {row_of.size}: set_points")
+        factor = self._schedule.now(step)
+        self._acting = []
+        for k, load in enumerate(self.loads):
+            places = self._places[k]
+            if isinstance(load, BodyForce):
+                self._acting.append(
+                    self._apply_field(load, factor[k], step, rows, alive, scatter_points)
+                    if callable(load.acceleration)
+                    else self._apply_weight(load, factor[k], momentum, listed)
+                )
+            elif isinstance(load, Traction) and places is not None and factor[k] != 0.0:
+                node, weight, count = self._stencils(places, rows, row_of, alive, momentum, stencils_at)
+                if load.follower:
+                    force = np.empty_like(places.reference)
+                    area_vectors(rows, row_of, alive, places.ids, places.axis, places.area, force)
+                    force *= factor[k] * float(np.asarray(load.vector)[places.axis])
+                else:
+                    force = places.area[:, None] * (factor[k] * np.asarray(load.vector))
+                add_forces(node, weight, count, force, momentum)
+                self._acting.append((node, weight, count, force))
+            else:
+                self._acting.append(None)
+        if self._dashpots is not None:
+            stencils = self._stencils(self._dashpots.places, rows, row_of, alive, momentum, stencils_at)
+            self._dashpots.apply(stencils, momentum, self._time_step)
+
+    def work(
+        self,
+        velocity: FloatArray,
+        momentum: FloatArray,
+        listed: Sequence[IntArray],
+        rows: FloatArray,
+        alive: int,
+    ) -> FloatArray:
+        """Work of each load in the step, force times displacement increment [J], (loads,).
+
+        Parameters
+        ----------
+        velocity : (R, >= d) ndarray
+            Nodal velocities that move the points in this step [m/s].
+        momentum, listed
+            As in `apply`.
+        rows, alive
+            Point table with the position increments of this step, still in the order of `apply`.
+        """
+        work = np.zeros(len(self.loads))
+        edge = 0
+        for k, load in enumerate(self.loads):
+            if isinstance(load, AbsorbingEdge):
+                assert self._dashpots is not None
+                work[k] = self._time_step * self._dashpots.power(edge, velocity)
+                edge += 1
+                continue
+            acting = self._acting[k]
+            if isinstance(acting, tuple):
+                node, weight, count, force = acting
+                work[k] = self._time_step * stencil_work(node, weight, count, force, velocity)
+            elif acting is not None and acting.ndim == 1:
+                work[k] = self._time_step * sum(_weight_power(part, acting, momentum, velocity) for part in listed)
+            elif acting is not None:
+                first = columns(self._dimension).increment
+                work[k] = float(np.sum(acting * rows[:alive, first : first + self._dimension]))
+        return work
+
+    def _check_vector(self, name: str, vector: FloatArray) -> None:
+        if vector.shape != (self._dimension,):
+            raise ValueError(f"{name} = {vector.tolist()}: {self._dimension} numbers are needed")
+
+    def _apply_weight(
+        self, load: BodyForce, factor: float, momentum: FloatArray, listed: Sequence[IntArray]
+    ) -> FloatArray:
+        acceleration = factor * np.asarray(load.acceleration, dtype=np.float64)
+        for part in listed:
+            _add_weight(part, acceleration, momentum)
+        return acceleration
+
+    def _apply_field(
+        self,
+        load: BodyForce,
+        factor: float,
+        step: int,
+        rows: FloatArray,
+        alive: int,
+        scatter_points: ScatterPoints,
+    ) -> FloatArray:
+        assert callable(load.acceleration)
+        position = np.ascontiguousarray(rows[:alive, : self._dimension])
+        acceleration = np.asarray(load.acceleration(position, step * self._time_step), dtype=np.float64)
+        if acceleration.shape != position.shape or not np.all(np.isfinite(acceleration)):
+            raise ValueError(
+                f"BodyForce.acceleration: a field must return finite values of shape {position.shape}, got shape "
+                f"{acceleration.shape}"
+            )
+        force = factor * acceleration * rows[:alive, columns(self._dimension).mass, None]
+        scatter_points(np.arange(alive, dtype=np.int64), force)
+        return force
+
+    def _stencils(
+        self,
+        places: FacePlaces,
+        rows: FloatArray,
+        row_of: IntArray,
+        alive: int,
+        momentum: FloatArray,
+        stencils_at: StencilsAt,
+    ) -> tuple[IntArray, FloatArray, IntArray]:
+        position = np.empty_like(places.reference)
+        place_on_faces(rows, row_of, alive, places.ids, places.reference, self._reference, position)
+        node, weight, count = stencils_at(position, places.reference)
+        keep_to_material(row_of, alive, places.ids, node, weight, count, momentum)
+        return node, weight, count

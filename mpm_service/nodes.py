@@ -1,0 +1,120 @@
+"""What happens on the nodes between two sweeps over the points. `listed` are the rows in use."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+# A node with less than this share of a full node's mass counts as empty. The share is so small because
+# the force on a sliver falls with the root of its mass only: dropping more would visibly lose momentum.
+EMPTY = 1e-30
+
+
+@njit(cache=True, nogil=True)
+def clear(listed: IntArray, table: FloatArray) -> None:
+    """Set the listed rows to zero."""
+    for i in range(listed.size):
+        for k in range(table.shape[1]):
+            table[listed[i], k] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def divide(listed: IntArray, momentum: FloatArray, first: int, source: FloatArray, out: FloatArray) -> None:
+    """Velocity of momenta: columns from `first` on of `source` over the nodal mass."""
+    for i in range(listed.size):
+        n = listed[i]
+        mass = momentum[n, 0]
+        inverse = 1.0 / mass if mass > 0.0 else 0.0
+        for a in range(out.shape[1]):
+            out[n, a] = source[n, first + a] * inverse
+
+
+@njit(cache=True, nogil=True)
+def drop_slivers(listed: IntArray, momentum: FloatArray, least: float) -> None:
+    """Nodes of no more than the least mass count as empty."""
+    for i in range(listed.size):
+        if not momentum[listed[i], 0] > least:
+            momentum[listed[i], 0] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def accelerate(listed: IntArray, momentum: FloatArray, time_step: float, keep: float, motion: FloatArray) -> None:
+    """Old and new nodal velocity, ``(v + dt f / m) keep`` (Eqs 17-19), as new velocity and its increment."""
+    dim = motion.shape[1] // 2
+    for i in range(listed.size):
+        n = listed[i]
+        mass = momentum[n, 0]
+        inverse = 1.0 / mass if mass > 0.0 else 0.0
+        for a in range(dim):
+            old = momentum[n, 1 + a] * inverse
+            new = keep * (old + time_step * momentum[n, 1 + dim + a] * inverse)
+            motion[n, a] = new
+            motion[n, dim + a] = new - old
+
+
+@njit(cache=True, nogil=True)
+def kinetic_energy(listed: IntArray, momentum: FloatArray, motion: FloatArray) -> float:
+    """Kinetic energy of the listed nodes after the update [J]."""
+    total = 0.0
+    for i in range(listed.size):
+        n = listed[i]
+        for a in range(motion.shape[1] // 2):
+            total += 0.5 * momentum[n, 0] * motion[n, a] * motion[n, a]
+    return total
+
+
+@njit(cache=True, nogil=True)
+def filter_step(
+    listed: IntArray, momentum: FloatArray, start: FloatArray, returned: FloatArray, field: FloatArray
+) -> None:
+    """``u <- u0 + u - S+ S u``, where `returned` holds the momentum of S+ S u; clears `returned`."""
+    for i in range(listed.size):
+        n = listed[i]
+        mass = momentum[n, 0]
+        inverse = 1.0 / mass if mass > 0.0 else 0.0
+        for a in range(field.shape[1]):
+            field[n, a] += start[n, a] - returned[n, a] * inverse
+            returned[n, a] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def copy_velocity(listed: IntArray, motion: FloatArray, out: FloatArray) -> None:
+    """Copy the new velocities out of `motion`."""
+    for i in range(listed.size):
+        n = listed[i]
+        for a in range(out.shape[1]):
+            out[n, a] = motion[n, a]
+
+
+@njit(cache=True, nogil=True)
+def replace_motion(listed: IntArray, velocity: FloatArray, motion: FloatArray) -> None:
+    """Let points both move with a velocity and take it over."""
+    dim = velocity.shape[1]
+    for i in range(listed.size):
+        n = listed[i]
+        for a in range(dim):
+            motion[n, a] = velocity[n, a]
+            motion[n, dim + a] = velocity[n, a]
+
+
+@njit(cache=True, nogil=True)
+def add_to_increment(listed: IntArray, velocity: FloatArray, motion: FloatArray) -> None:
+    """Add a velocity to the increment in `motion`."""
+    dim = velocity.shape[1]
+    for i in range(listed.size):
+        n = listed[i]
+        for a in range(dim):
+            motion[n, dim + a] += velocity[n, a]
+
+
+@njit(cache=True, nogil=True)
+def blend(listed: IntArray, other: FloatArray, share: float, velocity: FloatArray) -> None:
+    """``velocity <- (1 - share) velocity + share other``."""
+    for i in range(listed.size):
+        n = listed[i]
+        for a in range(other.shape[1]):
+            velocity[n, a] = (1.0 - share) * velocity[n, a] + share * other[n, a]

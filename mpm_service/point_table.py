@@ -1,0 +1,127 @@
+"""All data of the material points of a run, and how they look to a user."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .mapping import Points
+from .material import Material
+from .material_points import Body, columns
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+class PointTable:
+    """Point rows in memory order, and what belongs to points by stable id.
+
+    Parameters
+    ----------
+    body : Body
+    materials : sequence of Material
+        `body.material` counts in it.
+    thickness : float
+        [m]; 1 in space.
+    """
+
+    def __init__(self, body: Body, materials: Sequence[Material], thickness: float) -> None:
+        self.columns = columns(body.dimension)
+        self.materials = tuple(materials)
+        self.reference = body.position.copy()
+        self.weight = body.weight.copy()
+        self.material = np.array(body.material, dtype=np.int64)
+        count = body.count
+        c = self.columns
+        rows = np.zeros((count, c.count))
+        rows[:, : c.dimension] = body.position
+        volume = body.weight * (2.0 * body.half) ** c.dimension * thickness
+        rows[:, c.volume] = volume
+        rows[:, c.mass] = volume * np.array([m.density for m in materials])[self.material]
+        rows[:, c.half] = body.half
+        self.points = Points(rows, np.arange(count), np.arange(count))
+        self.histories = [np.ascontiguousarray(m.start_history(count)) for m in self.materials]
+
+    @property
+    def count(self) -> int:
+        """Number of points, lost ones included."""
+        return int(self.points.ids.size)
+
+    def update_stress(self, chunk: slice) -> None:
+        """Compute the stress of a slice of rows from their deformation."""
+        rows, ids = self.points.rows[chunk], self.points.ids[chunk]
+        if len(self.materials) == 1:
+            self.materials[0].update_stress(rows, ids, self.histories[0])
+            return
+        kinds = self.material[ids]
+        for number, (material, history) in enumerate(zip(self.materials, self.histories, strict=True)):
+            mine = np.flatnonzero(kinds == number)
+            if mine.size:
+                own = rows[mine]
+                material.update_stress(own, ids[mine], history)
+                rows[mine] = own
+
+    def by_material(self, function: str) -> FloatArray:
+        """Ask the materials for a quantity of all points; the answer is ordered by id, (n,)."""
+        rows = self.points.rows[self.points.row_of]
+        ids = np.arange(self.count)
+        answer = np.empty(self.count)
+        for number, (material, history) in enumerate(zip(self.materials, self.histories, strict=True)):
+            mine = np.flatnonzero(self.material == number) if len(self.materials) > 1 else ids
+            answer[mine] = getattr(material, function)(np.ascontiguousarray(rows[mine]), ids[mine], history)
+        return answer
+
+    def replace_by_four(self, parent: IntArray, children: FloatArray, offset: FloatArray, alive: int) -> None:
+        """Put four children in the place of each parent; child 0 has its row and id.
+
+        Parameters
+        ----------
+        parent : (m,) ndarray of int
+            Rows.
+        children : (m, 4, columns) ndarray
+            Their rows.
+        offset : (m, 4, 2) ndarray
+            Reference positions less that of the parent [m].
+        alive : int
+            Living rows; the new ones follow them.
+        """
+        rows, ids, _ = self.points
+        owner = ids[parent]
+        fresh = self.count + np.arange(3 * parent.size)
+        born = np.repeat(owner, 3)
+        rows[parent] = children[:, 0]
+        rows = np.insert(rows, alive, children[:, 1:].reshape(-1, rows.shape[1]), axis=0)
+        ids = np.insert(ids, alive, fresh)
+        row_of = np.empty(ids.size, dtype=np.int64)
+        row_of[ids] = np.arange(ids.size)
+        self.points = Points(rows, ids, row_of)
+        self.reference = np.concatenate([self.reference, self.reference[born] + offset[:, 1:].reshape(-1, 2)])
+        self.reference[owner] += offset[:, 0]
+        self.weight = np.concatenate([self.weight, self.weight[born]])
+        self.material = np.concatenate([self.material, self.material[born]])
+        self.histories = [np.concatenate([history, history[born]]) for history in self.histories]
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Everything of the points that changes, as copies."""
+        state: dict[str, NDArray[Any]] = {
+            "rows": self.points.rows.copy(),
+            "ids": self.points.ids.copy(),
+            "reference": self.reference.copy(),
+            "point_weight": self.weight.copy(),
+            "point_material": self.material.copy(),
+        }
+        return state | {f"history_{k}": history.copy() for k, history in enumerate(self.histories)}
+
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+        """Take back a saved state, also of another number of points."""
+        ids = np.array(state["ids"], dtype=np.int64)
+        row_of = np.empty(ids.size, dtype=np.int64)
+        row_of[ids] = np.arange(ids.size)
+        self.points = Points(np.array(state["rows"], dtype=np.float64), ids, row_of)
+        self.reference = np.array(state["reference"], dtype=np.float64)
+        self.weight = np.array(state["point_weight"], dtype=np.float64)
+        self.material = np.array(state["point_material"], dtype=np.int64)
+        self.histories = [np.array(state[f"history_{k}"], dtype=np.float64) for k in range(len(self.materials))]
