@@ -17,13 +17,13 @@ from .damping import Damping, Relaxation, relax
 from .errors import SolverError
 from .grid import Grid
 from .hierarchy import HierarchicalGrid
+from .hierarchy_filling import fill_hierarchy
 from .loads import AbsorbingEdge, BodyForce, Traction
 from .material import Material, MaterialError
 from .material_points import Body, Overlap, fill_rectangle, fill_region
 from .materials import IsotropicElastic, J2Plasticity, NeoHookean, OrthotropicElastic
 from .scheme import Scheme
 from .solver import Energies, MaterialPointSolver
-from .hierarchy_filling import fill_hierarchy
 from .time_functions import Constant, Ramp, Sine, Step, Table
 
 __all__ = [

@@ -129,7 +129,9 @@ class BoundarySet:
         self._made = -1
         locate_faces(self._faces, self._place, window, self._origin, 1.0 / self._cell, self._time_step)
 
-    def accelerate(self, momentum: FloatArray, motion: FloatArray, keep: float = 1.0) -> tuple[float, float]:
+    def accelerate(
+        self, momentum: FloatArray, motion: FloatArray, keep: float = 1.0, force_factor: float = 1.0
+    ) -> tuple[float, float]:
         """Impose the prescribed velocities in the momentum equation; writes ``motion`` and ``reaction``.
 
         Parameters
@@ -140,6 +142,9 @@ class BoundarySet:
             New velocity and its increment [m/s], already there for free nodes.
         keep : float
             Factor of mass-proportional damping in a step.
+        force_factor : float
+            What the forces in ``momentum`` were multiplied by; the reaction and its work are those of a body
+            whose masses were divided by it instead.
 
         Returns
         -------
@@ -163,6 +168,9 @@ class BoundarySet:
             keep,
             self.reaction,
         )
+        if force_factor != 1.0:
+            self.reaction /= force_factor
+            work /= force_factor
         return float(work), float(not_lost)
 
     def impose(self, momentum: FloatArray, velocity: FloatArray, before: bool = False) -> None:

@@ -439,6 +439,12 @@ class CrackSet:
         ------
         ValueError
             If there is no such tip, the vector has no length, or the crack would cross itself.
+
+        Notes
+        -----
+        Points keep the strain that functions a cell wide gave them before the cut. Measured for growth from 7 to
+        10 cells in a pulled strip, against a crack that was that long from the start: stress ahead of the tip 2 %
+        low, openings within 2 % of the widest up to two cells before the old tip, from there on off by up to 21 %.
         """
         if (crack, end) not in (self._tip_marker if self.cracks else {}):
             raise ValueError(f"extend: crack {crack} has no tip at its end {end}")
@@ -530,10 +536,10 @@ class CrackSet:
         self._lines = [np.ascontiguousarray(part) for part in np.split(corners, np.cumsum(counts)[:-1])]
         self._shape()
         total = self._markers.reference.shape[0]
-        for name, width in (("faces", 4), ("found", 2)):
+        for name, shape in (("faces", (total, 4)), ("found", (total, 2))):
             got = np.shape(state[f"crack_{name}"])
-            if got != (total, width):
-                raise ValueError(f"state['crack_{name}']: shape {(total, width)} is needed, got {got}")
+            if got != shape:
+                raise ValueError(f"state['crack_{name}']: shape {shape} is needed, got {got}")
         self._faces = np.array(state["crack_faces"], dtype=np.float64)
         self._found = np.array(state["crack_found"], dtype=np.float64)
         self._capacity = int(np.asarray(state["crack_capacity"])[0])

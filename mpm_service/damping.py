@@ -34,9 +34,9 @@ class Damping:
         the damping ratio ``c / (2 w)``.
     force_scaling : float
         c of Eq 45, ``p <- p + (1 - c) dt f``, from 0 up to but not 1. **This is not damping**: it scales every
-        force, which is the same as dividing all masses by ``1 - c``. No energy is taken out; every frequency
-        and wave speed falls by ``sqrt(1 - c)``, and reactions are reported as scaled. It is there to
-        reproduce results that were made with it.
+        force, which is the same as dividing all masses by ``1 - c``. No energy is taken out (what is kept is
+        strain energy plus kinetic energy over ``1 - c``); every frequency and wave speed falls by
+        ``sqrt(1 - c)``. It is there to reproduce results that were made with it.
 
     Raises
     ------
@@ -252,16 +252,19 @@ def relax(solver: Relaxable, tolerance: float = 1e-6, max_steps: int = 100_000) 
     if int(max_steps) != max_steps or max_steps < 1:
         raise ValueError(f"max_steps = {max_steps!r}: a whole number of at least 1 is needed")
     peaks = 0
+    stopped = False
     before = solver.kinetic_energy
     residual = np.inf
     for step in range(1, int(max_steps) + 1):
         solver.advance(1)
         residual = solver.residual
         energy = solver.kinetic_energy
-        if residual <= tolerance:
+        # The step after a stop is half a step, and so is what it reports of forces: not one to end with.
+        if residual <= tolerance and not stopped:
             solver.stop()
             return Relaxation(residual, step, peaks, True)
-        if energy < before:
+        stopped = energy < before
+        if stopped:
             solver.stop()
             peaks += 1
             before = 0.0

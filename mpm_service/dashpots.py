@@ -91,9 +91,9 @@ class Dashpots:
         self.places = FacePlaces(
             np.concatenate([p.ids for p in edges]),
             np.concatenate([p.reference for p in edges]),
+            np.concatenate([p.half for p in edges]),
             np.concatenate([p.area for p in edges]),
-            -1,
-            0,
+            np.concatenate([p.axis for p in edges]),
         )
         self._damper = np.ascontiguousarray(np.concatenate(dampers))
         self._ends = np.concatenate(([0], np.cumsum([p.ids.size for p in edges])))

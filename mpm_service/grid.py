@@ -4,26 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
-
-class Mesh(NamedTuple):
-    """Grid numbers in the form the kernels read (lengths in metres, sizes in cells)."""
-
-    origin_x: float
-    origin_y: float
-    cell_size: float
-    inverse_cell: float
-    cells_x: int
-    cells_y: int
-    stride: int
-    half_size: float
-    """Half side of a point's domain over the cell size."""
-    inverse_2l: float
-    inverse_4l: float
 
 
 @dataclass(frozen=True)
@@ -91,23 +74,3 @@ class Grid:
         lines = [o + self.cell_size * np.arange(n + 1) for o, n in zip(self.origin, self.cells, strict=True)]
         mesh = np.meshgrid(*lines[::-1], indexing="ij")
         return np.ascontiguousarray(np.stack([axis.ravel() for axis in mesh[::-1]], axis=1))
-
-    def mesh(self, point_size: float) -> Mesh:
-        """Kernel form of the grid for points of side ``point_size`` [m]."""
-        half = 0.5 * point_size / self.cell_size
-        if not 0.0 < half <= 0.5:
-            raise ValueError(
-                f"point size {point_size!r} m: must be above 0 and at most one cell ({self.cell_size!r} m)"
-            )
-        return Mesh(
-            float(self.origin[0]),
-            float(self.origin[1]),
-            float(self.cell_size),
-            1.0 / self.cell_size,
-            int(self.cells[0]),
-            int(self.cells[1]),
-            int(self.cells[0]) + 1,
-            half,
-            0.5 / half,
-            0.25 / half,
-        )

@@ -316,7 +316,7 @@ def fill_stencils(grid: HierarchyArrays, rows: FloatArray, domain: int, stencils
     """
     failed = -1
     node, weight, gradient = stencils.node, stencils.weight, stencils.gradient
-    for k in range(stencils.count.size):
+    for k in range(stencils.entries.size):
         p = stencils.first + k
         half_x = rows[p, HALF] if domain != NO_DOMAIN else 0.0
         half_y = half_x
@@ -324,16 +324,17 @@ def fill_stencils(grid: HierarchyArrays, rows: FloatArray, domain: int, stencils
             half_x *= np.sqrt((1.0 + rows[p, HXX]) ** 2 + rows[p, HXY] ** 2)
             half_y *= np.sqrt((1.0 + rows[p, HYY]) ** 2 + rows[p, HYX] ** 2)
         entries = grid_stencil(grid, rows[p, X], rows[p, Y], half_x, half_y, node[k], weight[k], gradient[k])
-        stencils.count[k] = entries
+        stencils.entries[k] = entries
         if entries < 0 and failed < 0:
             failed = p
     return failed
 
 
 @njit(**_OPTIONS)
-def _place_stencils(grid: HierarchyArrays, position: FloatArray, half: FloatArray, stencils: Stencils) -> None:
+def place_stencils(grid: HierarchyArrays, position: FloatArray, half: FloatArray, stencils: Stencils) -> None:
+    """`grid_stencil` at places (m, 2) with half sides (m, 2) [m], into a table of m stencils."""
     for p in range(position.shape[0]):
-        stencils.count[p] = grid_stencil(
+        stencils.entries[p] = grid_stencil(
             grid,
             position[p, 0],
             position[p, 1],
@@ -377,19 +378,19 @@ def hierarchy_stencils(grid: HierarchicalGrid, position: FloatArray, half: Float
         np.zeros(count, dtype=np.int64),
     )
     wide = np.ascontiguousarray(np.broadcast_to(np.asarray(half, dtype=np.float64), (count, 2)))
-    _place_stencils(grid.arrays, position, wide, stencils)
-    bad = np.flatnonzero(stencils.count < 0)
+    place_stencils(grid.arrays, position, wide, stencils)
+    bad = np.flatnonzero(stencils.entries < 0)
     if bad.size:
         p = int(bad[0])
-        why = "leaves the grid" if stencils.count[p] == OUTSIDE else "touches too many nodes, four cells is the most"
+        why = "leaves the grid" if stencils.entries[p] == OUTSIDE else "touches too many nodes, four cells is the most"
         raise ValueError(
             f"domain {p} at {tuple(position[p].tolist())} m, half sides {tuple(wide[p].tolist())} m: {why}"
         )
-    longest = int(stencils.count.max(initial=1))
+    longest = int(stencils.entries.max(initial=1))
     return Stencils(
         0,
         stencils.node[:, :longest].copy(),
         stencils.weight[:, :longest].copy(),
         stencils.gradient[:, :longest].copy(),
-        stencils.count,
+        stencils.entries,
     )

@@ -92,7 +92,7 @@ class Anchors:
 
     def weigh(self, momentum: FloatArray) -> FloatArray:
         """Find nodes and weights at the present places; returns the sums of weights, 0 without material, (n,)."""
-        node, weight, count = self._mapping.linear_stencils(self.position + self.displacement)
+        node, weight, count = self._mapping.stencils_at(self.position + self.displacement)
         if self._cracks is not None:
             self._cracks.assign_fields_at(self.position, node, count)
         self._mapping.list_nodes(node, count)
@@ -166,5 +166,7 @@ class CellForces:
         """Book the work of the forces over the last increments of the points."""
         if self._ids.size:
             c = self._mapping.columns
-            rows = self._mapping.points.rows[self._mapping.points.row_of[self._ids]]
-            self.work += float(np.sum(self._force * rows[:, c.increment : c.increment + c.dimension]))
+            row = self._mapping.points.row_of[self._ids]
+            living = row < self._mapping.alive
+            moved = self._mapping.points.rows[row[living], c.increment : c.increment + c.dimension]
+            self.work += float(np.sum(self._force[living] * moved))

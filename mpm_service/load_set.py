@@ -1,14 +1,19 @@
 """Loads put on the nodal tables, and the work they do.
 
-A traction acts at places on the faces of points, each with the linear functions of the grid over the nodes
-of its cell, so total force and moment are exact wherever the face has moved to::
+A traction acts on the faces of points, with the grid functions of the point itself along the face and those of
+the grid across it::
 
-    n+stride o-----------o             x = x_p + F (X - X_p)    place on the face, two a direction
-             |       x   |             f_I += N_I(x) t A        over nodes that carry material
-           n o-----------o n+1
+         domain of point p
+      +-----------+
+      |           #    f_I += t A N_I
+      |     p     #    N_I: average of the function of node I over the side of the domain
+      |           #
+      +-----------+
 
-Nodes with next to no material are left out and the other weights scaled up: a force on a node that only the
-last sliver of a point's domain reaches would not move the body.
+The internal force that a uniform stress puts on the nodes is, by the divergence theorem, the same stress on the
+sides of the domains. So a traction that acts there balances it on every node. Placed where the face of the body is
+when a domain that does not follow the deformation has fallen behind it, it would leave forces without balance on
+nodes that a sliver of a domain reaches, and these have next to no mass.
 """
 
 from __future__ import annotations
@@ -22,19 +27,40 @@ from numpy.typing import NDArray
 from .dashpots import Dashpots
 from .loads import AbsorbingEdge, BodyForce, FacePlaces, Load, Traction, face_places
 from .material_points import columns
+from .scheme import Interpolation
 from .stencils import add_forces
 from .time_functions import Constant, Schedule, TimeFunction
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-StencilsAt = Callable[[FloatArray, FloatArray], tuple[IntArray, FloatArray, IntArray]]
-"""``(position (m, d), reference_position (m, d)) -> node (m, K), weight (m, K), count (m,)``: linear functions."""
+StencilsAt = Callable[[FloatArray, FloatArray, FloatArray], tuple[IntArray, FloatArray, IntArray]]
+"""``(position (m, d), half (m, d), reference_position (m, d)) -> node (m, K), weight (m, K), count (m,)``.
+
+Functions of the grid averaged over boxes of the given half sides [m], which may be 0: quadratic B-splines (always
+with 0) where the points have them, else linear. A box outside the grid has count 0, and its force is lost.
+"""
 ScatterPoints = Callable[[IntArray, FloatArray], None]
 """``(rows (m,), force (m, d))``: spread forces on points [N] over the nodes by the points' own functions."""
 
-# As for anchors: a node with less than this share of the heaviest node of a stencil is left out.
-_LEAST_MASS_SHARE = 1e-3
+# A node with less than this share of the heaviest node of a stencil is empty. It is so small because the internal
+# force on a sliver falls with the root of its mass only, and the load has to balance it.
+_EMPTY = 1e-30
+
+
+@njit(inline="always")
+def _cofactor(f: FloatArray, a: int, b: int) -> float:
+    """Entry (a, b) of J F^-T."""
+    p, q = (a + 1) % 3, (a + 2) % 3
+    r, s = (b + 1) % 3, (b + 2) % 3
+    return f[p, r] * f[q, s] - f[p, s] * f[q, r]
+
+
+@njit(inline="always")
+def _read_gradient(rows: FloatArray, row: int, dimension: int, f: FloatArray) -> None:
+    for a in range(dimension):
+        for b in range(dimension):
+            f[a, b] = rows[row, 2 * dimension + a * dimension + b] + (1.0 if a == b else 0.0)
 
 
 @njit(cache=True, nogil=True)
@@ -44,30 +70,58 @@ def place_on_faces(
     alive: int,
     ids: IntArray,
     reference: FloatArray,
+    axis: IntArray,
     point_reference: FloatArray,
+    convected: bool,
+    reference_half: FloatArray,
     position: FloatArray,
+    half: FloatArray,
 ) -> None:
-    """Current positions ``x_p + F (X - X_p)`` of places on points [m]; ``X`` itself where the point is lost."""
+    """Current centres and half sides of faces on the sides of domains [m]; the reference where a point is lost.
+
+    The side is that whose normal is nearest to the current normal of the face. Domains keep their size, or
+    stretch by the norms of the rows of F where they are ``convected``.
+    """
     dimension = reference.shape[1]
+    f = np.eye(3)
     for i in range(ids.size):
         row = row_of[ids[i]]
-        for a in range(dimension):
-            if row >= alive:
-                position[i, a] = reference[i, a]
-                continue
-            offset = reference[i, a] - point_reference[ids[i], a]
-            x = rows[row, a] + offset
-            for b in range(dimension):
-                h = rows[row, 2 * dimension + a * dimension + b]
-                x += h * (reference[i, b] - point_reference[ids[i], b])
-            position[i, a] = x
+        if row >= alive:
+            position[i] = reference[i]
+            half[i] = reference_half[i]
+            continue
+        _read_gradient(rows, row, dimension, f)
+        normal = axis[i]
+        side = 0
+        for a in range(1, dimension):
+            if abs(_cofactor(f, a, normal)) > abs(_cofactor(f, side, normal)):
+                side = a
+        for b in range(dimension):
+            offset = reference[i, b] - point_reference[ids[i], b]
+            if b == normal:
+                a = side
+                offset *= 1.0 if _cofactor(f, side, normal) > 0.0 else -1.0
+            else:
+                a = normal if b == side else b
+                offset *= 1.0 if f[a, b] >= 0.0 else -1.0
+            stretch = 1.0
+            if convected:
+                stretch = np.sqrt(f[a, 0] ** 2 + f[a, 1] ** 2 + (f[a, 2] ** 2 if dimension == 3 else 0.0))
+            position[i, a] = rows[row, a] + stretch * offset
+            half[i, a] = stretch * reference_half[i, b]
 
 
 @njit(cache=True, nogil=True)
 def area_vectors(
-    rows: FloatArray, row_of: IntArray, alive: int, ids: IntArray, axis: int, area: FloatArray, out: FloatArray
+    rows: FloatArray,
+    row_of: IntArray,
+    alive: int,
+    ids: IntArray,
+    axis: IntArray,
+    area: FloatArray,
+    out: FloatArray,
 ) -> None:
-    """Current area vectors ``J F^-T N A`` [m^2] of reference faces whose normal is +axis (Nanson)."""
+    """Current area vectors ``J F^-T N A`` [m^2] of reference faces with the normal N along +axis (Nanson)."""
     dimension = out.shape[1]
     f = np.eye(3)
     for i in range(ids.size):
@@ -75,13 +129,9 @@ def area_vectors(
         if row >= alive:
             out[i, :] = 0.0
             continue
+        _read_gradient(rows, row, dimension, f)
         for a in range(dimension):
-            for b in range(dimension):
-                f[a, b] = rows[row, 2 * dimension + a * dimension + b] + (1.0 if a == b else 0.0)
-        b, c = (axis + 1) % 3, (axis + 2) % 3
-        for a in range(dimension):
-            p, q = (a + 1) % 3, (a + 2) % 3
-            out[i, a] = area[i] * (f[p, b] * f[q, c] - f[q, b] * f[p, c])
+            out[i, a] = area[i] * _cofactor(f, a, axis[i])
 
 
 @njit(cache=True, nogil=True)
@@ -94,7 +144,7 @@ def keep_to_material(
     count: IntArray,
     momentum: FloatArray,
 ) -> None:
-    """Give the weights of nodes with next to no mass to the others, and no node to places on lost points."""
+    """Give the weights of empty nodes to the others, and no node to places on lost points."""
     for i in range(node.shape[0]):
         if row_of[ids[i]] >= alive:
             count[i] = 0
@@ -104,7 +154,7 @@ def keep_to_material(
                 heaviest = max(heaviest, momentum[node[i, k], 0])
         total = 0.0
         for k in range(count[i]):
-            if not momentum[node[i, k], 0] > _LEAST_MASS_SHARE * heaviest:
+            if not momentum[node[i, k], 0] > _EMPTY * heaviest:
                 weight[i, k] = 0.0
             total += weight[i, k]
         for k in range(count[i]):
@@ -163,6 +213,8 @@ class LoadSet:
         Thickness in the plane [m]; 1 in space.
     time_step : float
         [s].
+    interpolation : {"ugimp", "linear", "cpgimp", "bspline"}
+        Of the scheme: tells how far the domains of points reach.
 
     Raises
     ------
@@ -180,11 +232,13 @@ class LoadSet:
         upper: FloatArray,
         thickness: float,
         time_step: float,
+        interpolation: Interpolation = "ugimp",
     ) -> None:
         self.loads = tuple(loads)
         self._dimension = reference_position.shape[1]
         self._reference = reference_position
         self._time_step = float(time_step)
+        self._interpolation = interpolation
         functions: list[TimeFunction] = []
         self._places: list[FacePlaces | None] = []
         dampers = []
@@ -214,7 +268,7 @@ class LoadSet:
         """Take over the reference positions by id [m] after points were split.
 
         The piece that keeps the id of its parent also keeps the loaded face: its place follows from the
-        piece's own reference position.
+        reference position of the piece.
         """
         self._reference = reference_position
 
@@ -242,7 +296,7 @@ class LoadSet:
         listed : sequence of (m,) ndarray of int
             Rows of nodes that may carry mass: of the grid, of extra velocity fields.
         stencils_at : callable
-            Linear functions at any places; count 0 at a place outside the grid, whose force is then lost.
+            See `StencilsAt`.
         scatter_points : callable
             Spreads forces on points; used by body forces that are fields.
 
@@ -270,7 +324,7 @@ class LoadSet:
                 if load.follower:
                     force = np.empty_like(places.reference)
                     area_vectors(rows, row_of, alive, places.ids, places.axis, places.area, force)
-                    force *= factor[k] * float(np.asarray(load.vector)[places.axis])
+                    force *= factor[k] * float(np.asarray(load.vector)[places.axis[0]])
                 else:
                     force = places.area[:, None] * (factor[k] * np.asarray(load.vector))
                 add_forces(node, weight, count, force, momentum)
@@ -362,7 +416,22 @@ class LoadSet:
         stencils_at: StencilsAt,
     ) -> tuple[IntArray, FloatArray, IntArray]:
         position = np.empty_like(places.reference)
-        place_on_faces(rows, row_of, alive, places.ids, places.reference, self._reference, position)
-        node, weight, count = stencils_at(position, places.reference)
+        half = np.empty_like(places.half)
+        place_on_faces(
+            rows,
+            row_of,
+            alive,
+            places.ids,
+            places.reference,
+            places.axis,
+            self._reference,
+            self._interpolation == "cpgimp",
+            places.half,
+            position,
+            half,
+        )
+        if self._interpolation in ("linear", "bspline"):
+            half[:] = 0.0
+        node, weight, count = stencils_at(position, half, places.reference)
         keep_to_material(row_of, alive, places.ids, node, weight, count, momentum)
         return node, weight, count

@@ -56,11 +56,11 @@ class BodyForce:
 class Traction:
     """Traction on the faces of points that form a face of the body at the start.
 
-    A dead load: its force is the traction times the reference area, whatever the body does, and acts where
-    the face has moved to, ``x_p + F (X - X_p)`` for a place X on the face of point p. As a follower it is a
-    pressure: the force on an area is ``J F^-T N A`` times it (Nanson), so it keeps normal to the face and
+    A dead load: its force is the traction times the reference area, whatever the body does. As a follower it
+    is a pressure: the force on an area is ``J F^-T N A`` times it (Nanson), so it keeps normal to the face and
     grows with it. In the plane the area is that of the reference thickness. Weights of points (`Overlap`) do
-    not scale tractions.
+    not scale tractions. The force acts on that side of the domain of each point that the face has turned to:
+    there the internal forces of a uniform stress end, so it balances them node by node.
 
     Parameters
     ----------
@@ -132,7 +132,10 @@ class AbsorbingEdge:
     Exact for plane waves at normal incidence, but for what the grid disperses. At an angle of incidence of 15,
     30, 45, 60, 75 degrees a pressure wave of unit displacement in a solid of Poisson's ratio 0.3 leaves
     reflected pressure waves of 0.003, 0.001, 0.043, 0.17, 0.44 and shear waves of 0.004, 0.020, 0.072, 0.12, 0.11.
-    Normals are those of the reference state. The face drifts under a constant force: nothing holds it.
+    What the grid leaves of the amplitude at normal incidence, with uGIMP and MUSL at Courant number 0.4, for wave
+    packets of 40 and 20 cells: 1.1 and 2.0 % with FMPM(2), 0.5 and 2.0 % with FLIP; about twice that where the
+    face lies between grid lines. Normals are those of the reference state. The face drifts under a constant
+    force: nothing holds it.
 
     The force of a step is the mean over that step of dashpots that act on the nodes, in closed form
     (an exponential), so they never limit the time step.
@@ -181,25 +184,27 @@ Load = BodyForce | Traction | AbsorbingEdge
 
 @dataclass(frozen=True)
 class FacePlaces:
-    """Gauss points on the faces of points that form a face of the body.
+    """Faces of points that form a face of the body, or the parts of them that are loaded.
 
     Attributes
     ----------
     ids : (m,) ndarray of int
         Stable id of the point each belongs to.
     reference : (m, d) ndarray
-        Places in the reference state [m].
+        Centres in the reference state [m].
+    half : (m, d) ndarray
+        Half sides [m], 0 along the normal.
     area : (m,) ndarray
-        Reference area each stands for [m^2].
-    axis, sign : int
-        Outward normal in the reference state.
+        Reference areas [m^2].
+    axis : (m,) ndarray of int
+        Direction of the normal in the reference state.
     """
 
     ids: NDArray[np.int64]
     reference: FloatArray
+    half: FloatArray
     area: FloatArray
-    axis: int
-    sign: int
+    axis: NDArray[np.int64]
 
 
 # A point face this close to the body's face, in half sides of the point, is part of it.
@@ -216,7 +221,7 @@ def face_places(
     thickness: float,
     region: Box | None = None,
 ) -> FacePlaces:
-    """Find the point faces on a face of the body, two Gauss points a direction on each.
+    """Find the point faces on a face of the body.
 
     Parameters
     ----------
@@ -233,7 +238,7 @@ def face_places(
     thickness : float
         Thickness in the plane [m]; 1 in space.
     region : (lower, upper), optional
-        Box the places are cut to [m].
+        Box the faces are cut to [m].
 
     Raises
     ------
@@ -262,18 +267,11 @@ def face_places(
         raise ValueError(f"{owner}: no material point has a face on the body's {face} face{where}")
     ids, low, high = ids[inside], low[inside], high[inside]
     area = np.prod(high[:, along] - low[:, along], axis=1) * (thickness if dimension == 2 else 1.0)
-    gauss = 0.5 / np.sqrt(3.0)
-    places = []
-    for corner in range(2 ** len(along)):
-        place = 0.5 * (low + high)
-        place[:, axis] = level
-        for bit, b in enumerate(along):
-            place[:, b] += (gauss if corner >> bit & 1 else -gauss) * (high[:, b] - low[:, b])
-        places.append(place)
+    low[:, axis] = high[:, axis] = level
     return FacePlaces(
-        np.tile(ids, len(places)).astype(np.int64),
-        np.ascontiguousarray(np.concatenate(places)),
-        np.tile(area / len(places), len(places)),
-        axis,
-        sign,
+        ids.astype(np.int64),
+        np.ascontiguousarray(0.5 * (low + high)),
+        np.ascontiguousarray(0.5 * (high - low)),
+        area,
+        np.full(ids.size, axis, dtype=np.int64),
     )

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -182,7 +183,7 @@ class Mapping:
             If a domain has become too wide.
         """
         table = self._table
-        if table.count.size == 0:
+        if table.entries.size == 0:
             return
         rows = self.points.rows
         first, last = self.regular, self.alive
@@ -202,8 +203,8 @@ class Mapping:
                 tuple(place.tolist()),
             )
         if self._cracks is not None:
-            self._cracks.assign_fields(self.points.ids, first, last, table.node, table.count)
-        self._list(table.node, table.count)
+            self._cracks.assign_fields(self.points.ids, first, last, table.node, table.entries)
+        self._list(table.node, table.entries)
 
     def _half_widths(self, first: int, last: int) -> FloatArray:
         """Half domains of irregular points on a uniform grid [m], held inside the grid, (m, d)."""
@@ -213,8 +214,12 @@ class Mapping:
         if self._kind == tensor_stencils.CONVECTED:
             f = rows[:, c.gradient : c.stress].reshape(-1, c.dimension, c.dimension) + np.eye(c.dimension)
             half *= np.linalg.norm(f, axis=2)
-            room = np.minimum(rows[:, : c.dimension] - self.grids[0].lower, self.grids[0].upper - rows[:, : c.dimension])
+            room = np.minimum(
+                rows[:, : c.dimension] - self.grids[0].lower, self.grids[0].upper - rows[:, : c.dimension]
+            )
             half = np.minimum(half, room)
+        if self._kind == tensor_stencils.UNIFORM:  # round-off beyond a cell would touch more nodes than the table holds
+            half = np.minimum(half, 0.5 * self.grids[0].cell_size)
         if self._kind in (tensor_stencils.LINEAR, tensor_stencils.SPLINE):
             half[:] = 0.0
         return np.ascontiguousarray(half)
@@ -231,7 +236,7 @@ class Mapping:
                 table.node,
                 table.weight,
                 table.gradient,
-                table.count,
+                table.entries,
             )
         )
 
@@ -244,36 +249,50 @@ class Mapping:
     def _list(self, node: IntArray, count: IntArray) -> None:
         self._used = ordering.mark_touched(node, count, self._mark, self._listed, self._used)
 
-    def linear_stencils(self, position: FloatArray) -> tuple[IntArray, FloatArray, IntArray]:
-        """Nodes and linear weights at places of the grid, before velocity fields are chosen.
+    def stencils_at(
+        self, position: FloatArray, half: FloatArray | None = None
+    ) -> tuple[IntArray, FloatArray, IntArray]:
+        """Nodes and weights at places of the grid, before velocity fields are chosen.
 
         Parameters
         ----------
         position : (m, d) ndarray
             [m]
+        half : (m, d) ndarray, optional
+            Half sides of boxes over which the functions are averaged [m]; 0 is none. With B-splines the functions
+            at the places, not averaged. Absent: linear functions at the places, whatever the scheme.
 
         Returns
         -------
         node, weight, count : (m, K), (m, K), (m,) ndarray
-            A place outside the grid has count 0.
+            A place or box that is not inside the grid has count 0.
         """
         m, dimension = position.shape
-        k = hierarchy_stencils.STENCIL_NODES if self.nested is not None else 2**dimension
-        node = np.zeros((m, k), dtype=np.int64)
-        weight = np.zeros((m, k))
-        gradient = np.zeros((m, k, dimension))
-        count = np.zeros(m, dtype=np.int64)
-        inside = np.all((position >= self.grids[0].lower) & (position < self.grids[0].upper), axis=1)
-        place = np.where(inside[:, None], position, self.grids[0].lower)
-        table = stencils.Stencils(0, node, weight, gradient, count)
+        kind = tensor_stencils.LINEAR if half is None else tensor_stencils.UNIFORM
+        if half is not None and self._kind == tensor_stencils.SPLINE:
+            kind = tensor_stencils.SPLINE
+        box = np.zeros_like(position) if half is None or kind == tensor_stencils.SPLINE else half
+        widest = 2 if half is None else 3 if kind == tensor_stencils.SPLINE else tensor_stencils.WIDEST
+        entries = hierarchy_stencils.STENCIL_NODES if self.nested is not None else widest**dimension
+        table = stencils.Stencils(
+            0,
+            np.zeros((m, entries), dtype=np.int64),
+            np.zeros((m, entries)),
+            np.zeros((m, entries, dimension)),
+            np.zeros(m, dtype=np.int64),
+        )
+        # A spline reaches a node beyond those of the cell; a place just inside the lower border needs one as well.
+        margin = self.grids[0].cell_size if kind == tensor_stencils.SPLINE else 0.0
+        low, high = self.grids[0].lower + margin, self.grids[0].upper - margin
+        inside = np.all((position - box >= low) & (position + box < high), axis=1)
+        place = np.ascontiguousarray(np.where(inside[:, None], position, 0.5 * (low + high)))
+        box = np.ascontiguousarray(np.where(inside[:, None], box, 0.0))
         if self.nested is not None:
-            rows = np.zeros((m, self.columns.count))
-            rows[:, :dimension] = place
-            hierarchy_stencils.fill_stencils(self.nested, rows, hierarchy_stencils.NO_DOMAIN, table)
+            hierarchy_stencils.place_stencils(self.nested, place, box, table)
         else:
-            self._fill(np.ascontiguousarray(place), np.zeros_like(place), tensor_stencils.LINEAR, table)
-        count[~inside] = 0
-        return node, weight, count
+            self._fill(place, box, kind, table)
+        table.entries[~inside] = 0
+        return table.node, table.weight, table.entries
 
     def list_nodes(self, node: IntArray, count: IntArray) -> None:
         """Add the nodes of stencils to those in use."""
@@ -295,7 +314,7 @@ class Mapping:
             strips = np.stack([self._strips[level][:-1], self._strips[level][1:]], axis=1)
             for parity in range(2):
                 parts = _share(strips[parity::2], self.threads)
-                answers += self._together([lambda part=part: kernel(rows, part, lattice, *arguments) for part in parts])
+                answers += self._together([partial(kernel, rows, part, lattice, *arguments) for part in parts])
         return answers
 
     def _together(self, calls: Sequence[Callable[[], Any]]) -> list[Any]:
@@ -307,13 +326,13 @@ class Mapping:
     def scatter_state(self, momentum: FloatArray) -> None:
         """Add mass, momentum and internal force of the points to the nodes (Eqs 11-14)."""
         self._scatter(sweeps.scatter_state, momentum)
-        if self._table.count.size:
+        if self._table.entries.size:
             stencils.scatter_state(self.points.rows, self._table, self.columns, self._voigt, momentum)
 
     def scatter_filtered(self, field: FloatArray, out: FloatArray) -> None:
         """Add the momentum S^T m S of a nodal velocity field to `out`."""
         self._scatter(sweeps.scatter_filtered, field, out)
-        if self._table.count.size:
+        if self._table.entries.size:
             stencils.scatter_filtered(self.points.rows, self._table, self.columns, field, out)
 
     def scatter_point_forces(self, row: IntArray, force: FloatArray, momentum: FloatArray) -> None:
@@ -335,12 +354,12 @@ class Mapping:
         """`update`, and the new momenta on the nodes (Eq 21)."""
         sizes = self._scatter(sweeps.update_remap_points, motion, keep, time_step, remapped)
         largest = max([*sizes, self._update_irregular(motion, keep, time_step)])
-        if self._table.count.size:
+        if self._table.entries.size:
             stencils.scatter_momentum(self.points.rows, self._table, self.columns, remapped)
         return largest
 
     def _update_irregular(self, motion: FloatArray, keep: float, time_step: float) -> float:
-        if not self._table.count.size:
+        if not self._table.entries.size:
             return 0.0
         return float(stencils.update_points(self.points.rows, self._table, self.columns, motion, keep, time_step))
 
@@ -360,7 +379,8 @@ class Mapping:
         """Deformation gradients by nodal velocities (Eqs 22-24), the move if asked, the stress."""
         rows = self.points.rows
         self._by_chunks(
-            lambda ranges, lattice: sweeps.deform_points(rows, ranges, lattice, velocity, time_step, float(move)), stress
+            lambda ranges, lattice: sweeps.deform_points(rows, ranges, lattice, velocity, time_step, float(move)),
+            stress,
         )
         self._deform_irregular(velocity, time_step, float(move), stress)
 
@@ -373,7 +393,7 @@ class Mapping:
     def _deform_irregular(
         self, velocity: FloatArray, time_step: float, move: float, stress: Callable[[slice], None]
     ) -> None:
-        if self._table.count.size:
+        if self._table.entries.size:
             stencils.deform_points(self.points.rows, self._table, self.columns, velocity, time_step, move)
             stress(slice(self.regular, self.alive))
 
@@ -396,7 +416,7 @@ class Mapping:
         if self._pool is None or len(chunks) < 2:
             return run(chunks)
         parts = [chunks[k :: self.threads] for k in range(self.threads)]
-        found = self._together([lambda part=part: run(part) for part in parts])
+        found = self._together([partial(run, part) for part in parts])
         return [answer for part in found for answer in part]
 
     # ---- saving ----------------------------------------------------------------------------------------

@@ -209,7 +209,7 @@ def require_assumption(value: str) -> None:
 
 def raise_no_volume(law: str, rows: FloatArray, ids: IdArray, row: int) -> NoReturn:
     """Raise the MaterialError of a row whose volume is no longer positive."""
-    gradient = displacement_gradient(rows[row : row + 1], 2 if rows.shape[1] == columns(2).count else 3)
+    gradient = displacement_gradient(rows[row : row + 1], 2 if rows.shape[1] == columns(2).width else 3)
     with np.errstate(invalid="ignore"):  # a gradient that is not a number is reported as such
         ratio = float(1.0 + volume_change(gradient)[0])
     raise MaterialError(

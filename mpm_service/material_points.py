@@ -29,7 +29,7 @@ class Columns(NamedTuple):
     volume: int
     half: int
     increment: int
-    count: int
+    width: int
 
 
 def columns(dimension: int) -> Columns:
@@ -39,6 +39,7 @@ def columns(dimension: int) -> Columns:
     return Columns(
         dimension, 0, dimension, 2 * dimension, stress, mass, mass + 1, mass + 2, mass + 3, mass + 3 + dimension
     )
+
 
 # How far a rectangle may sit off a cell line, in cells: covers round-off of decimal input, nothing more.
 _LINE_TOLERANCE = 1e-6
@@ -178,7 +179,9 @@ def _cell_counts(lower: Sequence[float], upper: Sequence[float], cell_size: floa
     return cells
 
 
-def _sub_cell_centres(start: NDArray[np.float64], cells: Sequence[int], cell_size: float, n: int) -> NDArray[np.float64]:
+def _sub_cell_centres(
+    start: NDArray[np.float64], cells: Sequence[int], cell_size: float, n: int
+) -> NDArray[np.float64]:
     """Centres of equal sub-cells, x running fastest."""
     lines = [low + cell_size * (np.arange(count * n) + 0.5) / n for low, count in zip(start, cells, strict=True)]
     mesh = np.meshgrid(*lines[::-1], indexing="ij")

@@ -82,6 +82,16 @@ def filter_step(
 
 
 @njit(cache=True, nogil=True)
+def old_velocity(listed: IntArray, motion: FloatArray, out: FloatArray) -> None:
+    """Velocities at the start of the step, on constrained nodes those of the constraint: new ones less increments."""
+    dim = out.shape[1]
+    for i in range(listed.size):
+        n = listed[i]
+        for a in range(dim):
+            out[n, a] = motion[n, a] - motion[n, dim + a]
+
+
+@njit(cache=True, nogil=True)
 def copy_velocity(listed: IntArray, motion: FloatArray, out: FloatArray) -> None:
     """Copy the new velocities out of `motion`."""
     for i in range(listed.size):

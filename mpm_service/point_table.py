@@ -36,7 +36,7 @@ class PointTable:
         self.material = np.array(body.material, dtype=np.int64)
         count = body.count
         c = self.columns
-        rows = np.zeros((count, c.count))
+        rows = np.zeros((count, c.width))
         rows[:, : c.dimension] = body.position
         volume = body.weight * (2.0 * body.half) ** c.dimension * thickness
         rows[:, c.volume] = volume

@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .crack_line import Crack
+from .cracks import Tip
 from .grid import Grid
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 # Cracks closer to each other than this would meet in one point's reach [cells].
 APART = 8.0
@@ -49,9 +51,10 @@ class _Line:
         place = self.clear(points)
         left = (place - self.ends[0]) @ self.normal >= 0.0
         anything = np.ones(left.size, dtype=bool)
+        self.tips = [end for end in range(2) if self._is_tip(points, end)]
         self.factors = np.zeros((2, count, points.shape[0]))
         for m, marker in enumerate(self.markers):
-            tip = m in (0, count - 1) and self._is_tip(points, m == 0)
+            tip = (m == 0 and 0 in self.tips) or (m == count - 1 and 1 in self.tips)
             for side, mine in enumerate((left, ~left)):
                 self.factors[side, m] = self._fit(place, marker, anything if tip else mine)
 
@@ -62,12 +65,12 @@ class _Line:
         on = np.linalg.norm(place - foot, axis=1) < THIN * self.cell
         return np.where(on[:, None], foot + THIN * self.cell * self.normal, place)
 
-    def _is_tip(self, points: FloatArray, first: bool) -> bool:
-        away = (points - self.ends[0 if first else 1]) / self.cell
-        along = away @ self.tangent * (-1.0 if first else 1.0)
+    def _is_tip(self, points: FloatArray, end: int) -> bool:
+        away = (points - self.ends[end]) / self.cell
+        along = away @ self.tangent * (1.0 if end else -1.0)
         return bool(np.any((along > 0.0) & (along <= AHEAD) & (np.abs(away @ self.normal) <= BESIDE)))
 
-    def _fit(self, points: FloatArray, marker: FloatArray, usable: NDArray[np.bool_]) -> FloatArray:
+    def _fit(self, points: FloatArray, marker: FloatArray, usable: BoolArray) -> FloatArray:
         """Factors with which displacements of points give that of a marker: a plane fitted to the nearest."""
         away = (points - marker) / self.cell
         far = np.where(usable, np.linalg.norm(away, axis=1), np.inf)
@@ -87,17 +90,18 @@ class _Line:
     def faces(self, moved: FloatArray) -> FloatArray:
         """Displacements of both faces of all markers, (2, markers, 2), from those of the points (n, 2) [m]."""
         faces = self.factors @ moved
-        has = self.factors.any(axis=2)
-        number = np.arange(self.markers.shape[0])
+        has = np.any(self.factors != 0.0, axis=2)
         for side in range(2):
-            held = number[has[side]]
-            for m in number[~has[side]] if held.size else ():
-                lead = held[np.abs(held - m).argmin()]
+            held = np.flatnonzero(has[side])
+            for m in np.flatnonzero(~has[side]) if held.size else ():
+                lead = int(held[np.abs(held - m).argmin()])
+                # The rotation is that of the stretch from the lead on, a cell or two into the material.
                 beyond = held[(held - lead) * (lead - m) > 0]
-                second = sorted(beyond, key=lambda b, lead=lead: abs(b - lead))[: int(2 / SPACING)][-1:] or [lead]
-                turn = self._rotation(faces[side, second[0]] - faces[side, lead], second[0] - lead)
+                nearest = beyond[np.abs(beyond - lead).argsort(kind="stable")][: int(2 / SPACING)]
+                second = int(nearest[-1]) if nearest.size else lead
+                turn = self._rotation(faces[side, second] - faces[side, lead], second - lead)
                 faces[side, m] = faces[side, lead] + (turn - np.eye(2)) @ (self.markers[m] - self.markers[lead])
-        return np.stack([faces[s] if has[s].any() else faces[1 - s] for s in range(2)])
+        return np.stack([faces[side] if np.any(has[side]) else faces[1 - side] for side in range(2)])
 
     def _rotation(self, stretch: FloatArray, steps: int) -> FloatArray:
         """Rotation of the line between two markers whose displacements differ by `stretch`."""
@@ -107,7 +111,7 @@ class _Line:
         cosine, sine = (was @ now / size, _cross(was, now) / size) if size > 0.0 else (1.0, 0.0)
         return np.array([[cosine, -sine], [sine, cosine]])
 
-    def follow(self, nodes: FloatArray, faces: FloatArray) -> tuple[FloatArray, NDArray[np.bool_], FloatArray, FloatArray]:
+    def follow(self, nodes: FloatArray, faces: FloatArray) -> tuple[FloatArray, BoolArray, FloatArray, FloatArray]:
         """Bring nodes (n, 2) back to the reference state.
 
         Returns their places there, whether they lie left of the crack, the moved crack's normal beside them, and the
@@ -136,7 +140,7 @@ class _Line:
         foot = self.markers[g] + t[:, None] * (self.markers[g + 1] - self.markers[g])
         return foot + turned, side > -THIN * self.cell, normal, gap
 
-    def crossed(self, start: FloatArray, end: FloatArray) -> NDArray[np.bool_]:
+    def crossed(self, start: FloatArray, end: FloatArray) -> BoolArray:
         """Does the way between two places cross the crack?"""
         a, b = self.cut
         sides = (_cross(b - a, start - a) >= 0.0) != (_cross(b - a, end - a) >= 0.0)
@@ -170,12 +174,27 @@ class StraightCracks:
         self.node_place = grid.node_positions() if cracks else np.zeros((0, 2))
         self.lines = [_Line(crack, grid.cell_size, points) for crack in cracks]
         self.field_count = 2 ** len(cracks)
-        self._beside: list[tuple[FloatArray, NDArray[np.bool_], FloatArray, FloatArray]] = []
+        self._beside: list[tuple[FloatArray, BoolArray, FloatArray, FloatArray]] = []
+        self._faces: list[FloatArray] = []
+        self.follow(points)
 
     def follow(self, position: FloatArray) -> None:
         """Take the present positions of the points [m]."""
-        faces = [line.faces(position - self.points) for line in self.lines]
-        self._beside = [line.follow(self.node_place, f) for line, f in zip(self.lines, faces, strict=True)]
+        self._faces = [line.faces(position - self.points) for line in self.lines]
+        self._beside = [line.follow(self.node_place, f) for line, f in zip(self.lines, self._faces, strict=True)]
+
+    @property
+    def tips(self) -> list[Tip]:
+        """Ends of cracks inside the body, where they are in the state last followed."""
+        found = []
+        for number, (line, faces) in enumerate(zip(self.lines, self._faces, strict=True)):
+            now = line.markers + faces.mean(axis=0)
+            for end in line.tips:
+                at, inner, sign = (-1, -2, 1.0) if end else (0, 1, -1.0)
+                out = (now[at] - now[inner]) / np.linalg.norm(now[at] - now[inner])
+                length = float(np.linalg.norm(line.ends[1] - line.ends[0]))
+                found.append(Tip(number, end, now[at], line.ends[end].copy(), out, sign * line.tangent, length))
+        return found
 
     def fields(self, reference: FloatArray, node: IntArray) -> IntArray:
         """Field that material at reference places (n, 2) uses at its nodes (n, k)."""

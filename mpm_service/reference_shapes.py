@@ -6,10 +6,13 @@ at the point, its exact average over the point's domain, or the quadratic B-spli
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from .scheme import Interpolation
+from .shapes import SLIVER
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -47,23 +50,25 @@ def shape_functions(
     for axis in reversed(range(dimension)):
         node, value, derivative = _along(xi[:, axis], half[:, axis], interpolation)
         inside = _product(inside, (node >= 0) & (node < nodes[axis]))
-        row = row[:, :, None] * nodes[axis] + np.clip(node, 0, nodes[axis] - 1)[:, None, :]
-        row = row.reshape(count, row.shape[1] * row.shape[2])
+        lines = np.tile(np.clip(node, 0, nodes[axis] - 1), (1, row.shape[1]))
+        row = np.repeat(row * nodes[axis], node.shape[1], axis=1) + lines
         weight = _product(weight, value)
         slope = np.stack([_product(slope[b], derivative if b == axis else value) for b in range(dimension)])
     return row, np.where(inside, weight, 0.0), np.where(inside, slope, 0.0)
 
 
-def _product(outer: NDArray, inner: NDArray) -> NDArray:
+def _product(outer: NDArray[Any], inner: NDArray[Any]) -> NDArray[Any]:
+    """Products of each entry of a row with each of another, (n, a) and (n, b) to (n, a b)."""
     return (outer[:, :, None] * inner[:, None, :]).reshape(outer.shape[0], outer.shape[1] * inner.shape[1])
 
 
 def _along(xi: FloatArray, half: FloatArray, interpolation: Interpolation) -> tuple[IntArray, FloatArray, FloatArray]:
     """Nodes, values and slopes along one direction, (n, k) each."""
     if interpolation == "linear":
-        node = np.floor(xi).astype(np.int64)[:, None] + np.arange(2)
-        offset = xi[:, None] - node
-        return node, _hat(offset), np.broadcast_to(np.array([-1.0, 1.0]), offset.shape)
+        first = np.floor(xi)
+        node = first.astype(np.int64)[:, None] + np.arange(2)
+        beyond = np.maximum(xi - first, SLIVER)[:, None]
+        return node, np.hstack([1.0 - beyond, beyond]), np.broadcast_to(np.array([-1.0, 1.0]), node.shape)
     if interpolation == "bspline":
         node = np.floor(xi + 0.5).astype(np.int64)[:, None] + np.arange(-1, 2)
         offset = xi[:, None] - node

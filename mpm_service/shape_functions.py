@@ -1,120 +1,100 @@
-"""Shape functions: uniform GIMP for material points, linear for massless tracers.
+"""Shape functions at places of a uniform grid, as tables to look at and to compute with.
 
-One direction of uGIMP, lengths in cells. The point sits at ``xi``, its domain is ``xi - l ... xi + l``
-with ``l <= 1/2``; ``c`` is the nearest node and ``d = xi - c``::
-
-        c-1            c            c+1
-    -----o-------------o--+----------o-----
-                       |--d    [  domain 2l  ]
-
-Only these three nodes can see the point. With ``a = min(max(d, -l), l)`` the hat function averaged over
-the domain is, without a branch,
-
-    S(c+1) = (l + a)^2 / 4l + max(d - l, 0),   S(c-1) = (l - a)^2 / 4l + max(-d - l, 0),
-    S(c) = 1 - S(c-1) - S(c+1).
+They are those of the solver: hat functions at the place (classic method) or averaged over a domain around it (GIMP),
+or quadratic B-splines; products of one-dimensional functions in two or three dimensions.
 """
 
 from __future__ import annotations
 
+from typing import get_args
+
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from .grid import Grid, Mesh
+from .grid import Grid
+from .scheme import Interpolation
+from .tensor_stencils import LINEAR, SPLINE, UNIFORM, WIDEST, fill_stencils
 
-Triple = tuple[float, float, float]
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
-
-@njit(inline="always")
-def gimp_1d(xi: float, half: float, inverse_2l: float, inverse_4l: float) -> tuple[int, Triple, Triple]:
-    """Nearest node, three weights and three slopes [1/cell] of nodes c-1, c, c+1."""
-    centre = int(xi + 0.5)
-    d = xi - centre
-    a = min(max(d, -half), half)
-    excess = d - a
-    up = half + a
-    down = half - a
-    right = up * up * inverse_4l + max(excess, 0.0)
-    left = down * down * inverse_4l + max(-excess, 0.0)
-    slope_right = up * inverse_2l
-    slope_left = -down * inverse_2l
-    return (
-        centre,
-        (left, 1.0 - left - right, right),
-        (slope_left, -slope_left - slope_right, slope_right),
-    )
+#: Convected domains are uniform ones of another size.
+_KINDS = {"linear": LINEAR, "ugimp": UNIFORM, "cpgimp": UNIFORM, "bspline": SPLINE}
 
 
-@njit(cache=True, nogil=True)
-def _evaluate(
-    position: NDArray[np.float64],
-    mesh: Mesh,
-    node: NDArray[np.int64],
-    weight: NDArray[np.float64],
-    gradient: NDArray[np.float64],
-) -> None:
-    for p in range(position.shape[0]):
-        cx, sx, gx = gimp_1d(
-            (position[p, 0] - mesh.origin_x) * mesh.inverse_cell,
-            mesh.half_size,
-            mesh.inverse_2l,
-            mesh.inverse_4l,
-        )
-        cy, sy, gy = gimp_1d(
-            (position[p, 1] - mesh.origin_y) * mesh.inverse_cell,
-            mesh.half_size,
-            mesh.inverse_2l,
-            mesh.inverse_4l,
-        )
-        for j in range(3):
-            for i in range(3):
-                k = 3 * j + i
-                node[p, k] = (cy + j - 1) * mesh.stride + cx + i - 1
-                weight[p, k] = sx[i] * sy[j]
-                gradient[p, k, 0] = gx[i] * sy[j] * mesh.inverse_cell
-                gradient[p, k, 1] = sx[i] * gy[j] * mesh.inverse_cell
-
-
-def gimp_shape_functions(
-    grid: Grid, position: NDArray[np.float64], point_size: float
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Weights and gradients of uniform GIMP, the functions the solver itself uses.
+def shape_functions(
+    grid: Grid, position: ArrayLike, half: ArrayLike = 0.0, interpolation: Interpolation = "ugimp"
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return the nodes that feel each place, with their weights and gradients.
 
     Parameters
     ----------
     grid : Grid
         Background grid.
-    position : (n, 2) ndarray
-        Centres of the point domains [m].
-    point_size : float
-        Side of the square domain [m], at most one cell.
+    position : (n, d) array_like
+        Centres of the domains [m].
+    half : float, (d,) or (n, d) array_like
+        Half sides of the domains [m], at most two cells; where zero, the functions are linear. For cpGIMP those that
+        the deformation has made of them: reference half sides times the norms of the rows of F. Linear functions and
+        B-splines have no domains and ignore it.
+    interpolation : {"ugimp", "linear", "cpgimp", "bspline"}
 
     Returns
     -------
-    node : (n, 9) ndarray of int
-        Node numbers, x running fastest.
-    weight : (n, 9) ndarray
+    node : (n, k) ndarray of int
+        Node numbers, x running fastest, as in ``grid.node_positions()``. Places with fewer nodes than others
+        are filled up with node 0, weight 0.
+    weight : (n, k) ndarray
         S_Ip, dimensionless.
-    gradient : (n, 9, 2) ndarray
+    gradient : (n, k, d) ndarray
         Gradient of S_Ip [1/m].
 
     Raises
     ------
     ValueError
-        If a domain leaves the grid or the size is not allowed.
+        If a value is not allowed, or nodes that a place needs lie outside the grid.
 
-    Notes
-    -----
-    Bardenhagen and Kober, CMES 5 (2004) 477, with constant characteristic function.
+    References
+    ----------
+    Bardenhagen and Kober, CMES 5 (2004) 477 (GIMP, constant characteristic function); Steffen, Kirby and Berzins,
+    IJNME 76 (2008) 922 (B-splines). Eqs 15, 16, 24 and 29 of the dissertation.
     """
-    position = np.ascontiguousarray(position, dtype=np.float64).reshape(-1, 2)
-    mesh = grid.mesh(point_size)
-    index = (position - grid.lower) / grid.cell_size
-    if np.any(index < 0.5) or np.any(index >= np.array(grid.cells) - 0.5):
-        raise ValueError("position: a point lies within half a cell of the grid's border or outside it")
-    count = position.shape[0]
-    node = np.empty((count, 9), dtype=np.int64)
-    weight = np.empty((count, 9))
-    gradient = np.empty((count, 9, 2))
-    _evaluate(position, mesh, node, weight, gradient)
-    return node, weight, gradient
+    if interpolation not in get_args(Interpolation):
+        raise ValueError(f"interpolation = {interpolation!r}: allowed are {', '.join(get_args(Interpolation))}")
+    dimension = grid.dimension
+    place = np.ascontiguousarray(position, dtype=np.float64)
+    if place.ndim != 2 or place.shape[1] != dimension or not np.all(np.isfinite(place)):
+        raise ValueError(f"position: finite numbers of shape (n, {dimension}) are needed, got shape {place.shape}")
+    sides = np.asarray(half, dtype=np.float64)
+    if sides.shape not in ((), (dimension,), place.shape):
+        raise ValueError(
+            f"half: a number or shape ({dimension},) or {place.shape} is needed, got shape {sides.shape}"
+        )
+    widest = 0.5 * (WIDEST - 2)
+    if not np.all((sides >= 0.0) & (sides <= widest * grid.cell_size * (1.0 + 1e-12))):
+        raise ValueError(f"half: from 0 to {widest:g} cells ({widest * grid.cell_size!r} m) is allowed, got {half!r} m")
+    averaged = interpolation in ("ugimp", "cpgimp")
+    count, entries = place.shape[0], (WIDEST if averaged else 3) ** dimension
+    node = np.zeros((count, entries), dtype=np.int64)
+    weight = np.zeros((count, entries))
+    gradient = np.zeros((count, entries, dimension))
+    used = np.zeros(count, dtype=np.int64)
+    outside = fill_stencils(
+        place,
+        np.ascontiguousarray(np.broadcast_to(sides if averaged else 0.0, place.shape)),
+        _KINDS[interpolation],
+        grid.lower,
+        1.0 / grid.cell_size,
+        np.array(grid.cells, dtype=np.int64),
+        node,
+        weight,
+        gradient,
+        used,
+    )
+    if outside >= 0:
+        raise ValueError(
+            f"position[{outside}] = {tuple(place[outside].tolist())} m: its {interpolation} functions need nodes "
+            f"beyond the grid, which spans {grid.lower.tolist()} to {grid.upper.tolist()} m"
+        )
+    k = int(used.max(initial=0))
+    return node[:, :k].copy(), weight[:, :k].copy(), gradient[:, :k].copy()

@@ -3,7 +3,7 @@
 Lengths in cells. Each kind of function is a type of its own; `shape_1d` compiles to the one of its argument.
 It returns the first node it touches, the weights of that node and the next ones, and their slopes.
 
-Linear, point at ``xi`` between nodes c and c+1: ``S = (1 - d, d)`` with ``d = xi - c``.
+Linear, point at ``xi`` between nodes c and c+1: ``S = (1 - d, d)`` with ``d = xi - c``, but never quite zero.
 
 Averaged over a domain ``xi - l ... xi + l`` (GIMP, ``l <= 1/2``), c the nearest node, d = xi - c::
 
@@ -30,6 +30,11 @@ from numba import njit
 from numba.extending import overload
 
 from .scheme import Interpolation
+
+
+#: Least weight [cells] that a linear function leaves the node beyond a point on a cell line: that node's velocity
+#: enters the point's velocity gradient in full, so it must be some point's and not that of an empty node.
+SLIVER = 1e-15
 
 
 class LinearShape(NamedTuple):
@@ -97,7 +102,7 @@ def _average(xi: float, half: float, inverse_2l: float, inverse_4l: float) -> tu
 
 def _linear(shape: Any, xi: float, stretch: float) -> tuple[int, Any, Any]:
     first = int(xi)
-    d = xi - first
+    d = max(xi - first, SLIVER)
     return first, (1.0 - d, d), (-1.0, 1.0)
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .applied_loads import AppliedLoads
 from .boundary_set import BoundarySet
 from .conditions import EdgeCondition, NodeCondition
 from .crack_line import Crack
@@ -27,11 +28,13 @@ from .nodes import EMPTY
 from .point_table import PointTable
 from .point_view import PointView
 from .scheme import Scheme
+from .set_up import check_cells, check_set_up, checked_array
 from .splitting import find_oversized, split_points
 from .time_integration import Nodes, TimeIntegration
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
 
 @dataclass(frozen=True)
 class Energies:
@@ -136,7 +139,7 @@ class MaterialPointSolver:
         refined = grid.refinements if isinstance(grid, HierarchicalGrid) else ()
         if int(threads) != threads or threads < 1:
             raise ValueError(f"threads = {threads!r}: a whole number of at least 1 is needed")
-        self._check()
+        check_set_up(self._coarse, bool(refined), body, self.materials, self.thickness, self.scheme)
         self.time_step = float(time_step)
         if not (np.isfinite(time_step) and 0.0 < time_step <= self.stable_time_step):
             raise ValueError(
@@ -152,9 +155,7 @@ class MaterialPointSolver:
         if self.cracks is not None:
             rows = self.cracks.row_count
         half = 0.5 / body.points_per_cell
-        self._mapping = Mapping(
-            grid, self._table.points, self.scheme, half, rows, self.cracks, int(threads)
-        )
+        self._mapping = Mapping(grid, self._table.points, self.scheme, half, rows, self.cracks, int(threads))
         boundary = BoundarySet(
             self.edge_conditions,
             self._coarse,
@@ -166,10 +167,8 @@ class MaterialPointSolver:
         )
         self._balance = ForceBalance()
         self._cells = CellForces(self._mapping, [])
-        self._anchors = Anchors(
-            np.zeros((0, body.dimension)), np.zeros(0, dtype=np.int64), self._mapping, self.cracks
-        )
-        self._applied = _AppliedLoads(loads, self) if loads else None
+        self._anchors = Anchors(np.zeros((0, body.dimension)), np.zeros(0, dtype=np.int64), self._mapping, self.cracks)
+        self._applied = AppliedLoads(self._load_set(loads), self._mapping, self.cracks) if loads else None
         densest = max(m.density for m in self.materials)
         self._integration = TimeIntegration(
             self._mapping,
@@ -275,11 +274,12 @@ class MaterialPointSolver:
         """Set the velocities of all points to zero."""
         c = self._table.columns
         self._table.points.rows[:, c.velocity : c.gradient] = 0.0
+        self._integration.at_rest = True
 
     def set_velocity(self, velocity: ArrayLike) -> None:
         """Set the velocity of each point [m/s], (n, d), by id."""
         c = self._table.columns
-        values = _array("velocity", velocity, (self._table.count, c.dimension))
+        values = checked_array("velocity", velocity, (self._table.count, c.dimension))
         self._table.points.rows[self._table.points.row_of, c.velocity : c.gradient] = values
 
     # ---- coupling --------------------------------------------------------------------------------------
@@ -304,14 +304,14 @@ class MaterialPointSolver:
         place = np.ascontiguousarray(position, dtype=np.float64)
         if place.ndim != 2:
             raise ValueError(f"position: shape (n, {dimension}) is needed, got {place.shape}")
-        place = _array("position", place, (place.shape[0], dimension))
+        place = checked_array("position", place, (place.shape[0], dimension))
         cell = np.ascontiguousarray(ivc, dtype=np.int64)
         if cell.shape != (place.shape[0],):
             raise ValueError(f"ivc: shape ({place.shape[0]},) is needed, got {cell.shape}")
         if cell.size and cell.min() < 0:
             raise ValueError(f"ivc[{int(cell.argmin())}] = {int(cell.min())}: must not be negative")
         if self._cells.cells:
-            _check_cells(cell, self._cells.cells)
+            check_cells(cell, self._cells.cells)
         anchors = Anchors(place, cell, self._mapping, self.cracks)
         self._integration.gather_mass()
         lonely = np.flatnonzero(anchors.weigh(self._integration.nodes.momentum) == 0.0)
@@ -347,11 +347,11 @@ class MaterialPointSolver:
         low = np.ascontiguousarray(lower, dtype=np.float64)
         if low.ndim != 2:
             raise ValueError(f"lower: shape (m, {dimension}) is needed, got {low.shape}")
-        low = _array("lower", low, (low.shape[0], dimension))
-        high = _array("upper", upper, low.shape)
+        low = checked_array("lower", low, (low.shape[0], dimension))
+        high = checked_array("upper", upper, low.shape)
         place = self.body.position
         cells = [np.flatnonzero(np.all((place >= a) & (place < b), axis=1)) for a, b in zip(low, high, strict=True)]
-        _check_cells(self._anchors.ivc, cells)
+        check_cells(self._anchors.ivc, cells)
         self._cells = CellForces(self._mapping, cells)
         self._set_loads()
         return np.array([c.size for c in cells], dtype=np.int64)
@@ -380,9 +380,11 @@ class MaterialPointSolver:
         if int(steps) != steps or steps < 0:
             raise ValueError(f"steps = {steps!r}: a whole number of at least 0 is needed")
         anchors = self._anchors
-        anchors.force[:] = 0.0 if anchor_force is None else _array("anchor_force", anchor_force, anchors.force.shape)
+        anchors.force[:] = (
+            0.0 if anchor_force is None else checked_array("anchor_force", anchor_force, anchors.force.shape)
+        )
         shape = (len(self._cells.cells), self.body.dimension)
-        self._cells.set_forces(None if ivc_force is None else _array("ivc_force", ivc_force, shape))
+        self._cells.set_forces(None if ivc_force is None else checked_array("ivc_force", ivc_force, shape))
         for _ in range(int(steps)):
             self._advance_one()
 
@@ -417,6 +419,8 @@ class MaterialPointSolver:
                 mapping.alive += 3 * found.size
                 if self.cracks is not None:
                     self.cracks.set_points(self._table.reference)
+                if self._applied is not None:
+                    self._applied.set_points(self._table.reference)
         self._integration.sort()
 
     # ---- saving ----------------------------------------------------------------------------------------
@@ -436,6 +440,7 @@ class MaterialPointSolver:
                     self._anchors.work,
                     self._applied.work if self._applied else 0.0,
                     self._integration.residual,
+                    float(self._integration.at_rest),
                 ]
             ),
             "edge_reaction": self._integration.boundary.reaction.copy(),
@@ -462,7 +467,7 @@ class MaterialPointSolver:
         count = np.size(state["ids"])
         splits = isinstance(self.grid, HierarchicalGrid)
         fits = count >= self.body.count if splits else count == self.body.count
-        if np.shape(state["rows"]) != (count, self._table.columns.count) or not fits:
+        if np.shape(state["rows"]) != (count, self._table.columns.width) or not fits:
             raise ValueError(
                 f"state['rows']: shape {np.shape(state['rows'])} does not fit a body of {self.body.count} points"
             )
@@ -484,9 +489,12 @@ class MaterialPointSolver:
         if self._applied:
             self._applied.work = values[5]
         self._integration.residual = values[6]
+        self._integration.at_rest = bool(values[7])
         self._integration.boundary.reaction[:] = state["edge_reaction"]
         self._anchors.displacement[:] = state["anchor_displacement"]
         self._anchors.velocity[:] = state["anchor_velocity"]
+        if self._applied is not None:
+            self._applied.set_points(self._table.reference)
         if self.cracks is not None:
             self.cracks.set_points(self._table.reference)
             self.cracks.restore(state)
@@ -494,45 +502,14 @@ class MaterialPointSolver:
 
     # ---- inner -----------------------------------------------------------------------------------------
 
-    def _check(self) -> None:
-        if not (np.isfinite(self.thickness) and self.thickness > 0.0):
-            raise ValueError(f"thickness = {self.thickness!r}: a positive length [m] is needed")
-        if not self.materials:
-            raise ValueError("material: at least one is needed")
-        if self.body.dimension != len(self._coarse.cells):
-            raise ValueError(
-                f"body: has {self.body.dimension} dimensions, the grid has {len(self._coarse.cells)}"
-            )
-        for k, material in enumerate(self.materials):
-            in_space = material.assumption == "three_dimensional"
-            if in_space != (self.body.dimension == 3):
-                raise ValueError(
-                    f"material[{k}].assumption = {material.assumption!r}: does not fit a body in "
-                    f"{self.body.dimension} dimensions"
-                )
-        if self.body.dimension == 3:
-            if self.thickness != 1.0:
-                raise ValueError(f"thickness = {self.thickness!r}: must be 1 in three dimensions")
-            if self.scheme.interpolation not in ("linear", "ugimp"):
-                raise ValueError(
-                    f"scheme: interpolation {self.scheme.interpolation!r} is for plane bodies; in three dimensions "
-                    "there are linear and ugimp"
-                )
-        if isinstance(self.grid, HierarchicalGrid) and self.grid.refinements and self.scheme.interpolation == "bspline":
-            raise ValueError("scheme: interpolation 'bspline' needs a uniform grid; a refined one takes linear or GIMP")
-        top = int(self.body.material.max(initial=0))
-        if top >= len(self.materials) or int(self.body.material.min(initial=0)) < 0:
-            raise ValueError(f"body.material: {top} is used, but there are {len(self.materials)} materials")
-        _check_fit(self._coarse, self.body)
-
     def _set_velocities(self, gradient: ArrayLike | None, velocity: ArrayLike | None) -> None:
         c = self._table.columns
         values = np.zeros((self._table.count, c.dimension))
         if gradient is not None:
             shape = (c.dimension, c.dimension)
-            values += self.body.position @ _array("initial_velocity_gradient", gradient, shape).T
+            values += self.body.position @ checked_array("initial_velocity_gradient", gradient, shape).T
         if velocity is not None:
-            values += _array("initial_velocity", velocity, values.shape)
+            values += checked_array("initial_velocity", velocity, values.shape)
         self._table.points.rows[:, c.velocity : c.gradient] = values
 
     def _reach(self) -> float:
@@ -540,6 +517,20 @@ class MaterialPointSolver:
         if self.scheme.interpolation == "cpgimp":
             return 2.5  # one and a domain stretched to three cells; wider ones near a crack are refused
         return 1.5
+
+    def _load_set(self, loads: Sequence[Load]) -> LoadSet:
+        body = self.body
+        return LoadSet(
+            loads,
+            self._table.reference,
+            body.half,
+            body.weight,
+            body.lower,
+            body.upper,
+            self.thickness,
+            self.time_step,
+            self.scheme.interpolation,
+        )
 
     def _set_loads(self) -> None:
         applied = [self._applied] if self._applied else []
@@ -586,83 +577,3 @@ class MaterialPointSolver:
             point,
             place,
         )
-
-
-class _AppliedLoads:
-    """The load set of a solver, as one of its nodal loads."""
-
-    def __init__(self, loads: Sequence[Load], solver: MaterialPointSolver) -> None:
-        table = solver._table
-        self._solver = solver
-        self._set = LoadSet(
-            loads,
-            table.reference,
-            solver.body.half,
-            solver.body.weight,
-            solver.body.lower,
-            solver.body.upper,
-            solver.thickness,
-            solver.time_step,
-        )
-        self.work = 0.0
-
-    def add_forces(self, step: int, momentum: FloatArray) -> None:
-        """Apply tractions, body forces and dashpots."""
-        mapping = self._solver._mapping
-        points = mapping.points
-        self._set.apply(
-            step,
-            points.rows,
-            points.row_of,
-            mapping.alive,
-            momentum,
-            (mapping.active,),
-            self._stencils_at,
-            lambda rows, force: mapping.scatter_point_forces(rows, force, momentum),
-        )
-
-    def follow(self, momentum: FloatArray, motion: FloatArray, time_step: float) -> None:
-        """Book the work."""
-        mapping = self._solver._mapping
-        work = self._set.work(motion, momentum, (mapping.active,), mapping.points.rows, mapping.alive)
-        self.work += float(work.sum())
-
-    def _stencils_at(self, position: FloatArray, reference: FloatArray) -> tuple[IntArray, FloatArray, IntArray]:
-        mapping, cracks = self._solver._mapping, self._solver.cracks
-        node, weight, count = mapping.linear_stencils(position)
-        if cracks is not None:
-            cracks.assign_fields_at(reference, node, count)
-        mapping.list_nodes(node, count)
-        return node, weight, count
-
-
-def _array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
-    array = np.ascontiguousarray(value, dtype=np.float64)
-    if array.shape != shape:
-        raise ValueError(f"{name}: shape {shape} is needed, got {array.shape}")
-    if not np.all(np.isfinite(array)):
-        bad = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise ValueError(f"{name}[{', '.join(map(str, bad))}] = {array[bad]!r}: must be finite")
-    return array
-
-
-def _check_cells(ivc: IntArray, cells: Sequence[IntArray]) -> None:
-    for k in np.unique(ivc):
-        if k >= len(cells):
-            raise ValueError(f"ivc = {int(k)}: only {len(cells)} interface cells are registered")
-        if cells[k].size == 0:
-            raise ValueError(f"interface cell {int(k)}: holds {int(np.sum(ivc == k))} anchors but no material point")
-
-
-def _check_fit(grid: Grid, body: Body) -> None:
-    h = grid.cell_size
-    if abs(body.cell_size / h - 1.0) > 1e-9:
-        raise ValueError(f"body.cell_size = {body.cell_size!r} m: the grid's cell size is {h!r} m")
-    for axis, name in zip(range(body.dimension), "xyz", strict=False):
-        low = (body.lower[axis] - grid.lower[axis]) / h
-        high = (grid.upper[axis] - body.upper[axis]) / h
-        if min(low, high) < 1.0 - 1e-6:
-            raise ValueError(
-                f"grid: needs at least one cell of margin around the body in {name}, has {low:.3g} below and "
-                f"{high:.3g} above"
-            )

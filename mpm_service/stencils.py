@@ -28,7 +28,7 @@ VOIGT = {
 
 
 class Stencils(NamedTuple):
-    """Nodes that the points of the rows from `first` on touch; entry k < count of a point is valid."""
+    """Nodes that the points of the rows from `first` on touch; entry k < `entries` of a point is valid."""
 
     first: int
     node: IntArray
@@ -37,17 +37,19 @@ class Stencils(NamedTuple):
     """(m, K)"""
     gradient: FloatArray
     """(m, K, d) [1/m]"""
-    count: IntArray
+    entries: IntArray
     """(m,)"""
 
 
 @njit(**_OPTIONS)
-def scatter_state(rows: FloatArray, stencils: Stencils, columns: Columns, voigt: IntArray, momentum: FloatArray) -> None:
+def scatter_state(
+    rows: FloatArray, stencils: Stencils, columns: Columns, voigt: IntArray, momentum: FloatArray
+) -> None:
     """Nodal mass, momentum and internal force (Eqs 11-14, 39)."""
     node = stencils.node
     weight = stencils.weight
     gradient = stencils.gradient
-    count = stencils.count
+    count = stencils.entries
     dim = columns.dimension
     for k in range(count.size):
         p = stencils.first + k
@@ -72,7 +74,7 @@ def scatter_filtered(
     """Momentum that a velocity field has after a way to the points and back: out += S^T m S field."""
     node = stencils.node
     weight = stencils.weight
-    count = stencils.count
+    count = stencils.entries
     for k in range(count.size):
         mass = rows[stencils.first + k, columns.mass]
         for a in range(columns.dimension):
@@ -89,7 +91,7 @@ def scatter_momentum(rows: FloatArray, stencils: Stencils, columns: Columns, out
     """Momenta of the points on the nodes: out += S^T m v (Eq 21)."""
     node = stencils.node
     weight = stencils.weight
-    count = stencils.count
+    count = stencils.entries
     for k in range(count.size):
         p = stencils.first + k
         for e in range(count[k]):
@@ -105,7 +107,7 @@ def update_points(
     """Velocity ``v <- keep v + S a`` and increment ``dt S v_n`` (Eqs 19-20); the largest increment [m]."""
     node = stencils.node
     weight = stencils.weight
-    count = stencils.count
+    count = stencils.entries
     dim = columns.dimension
     largest = 0.0
     for k in range(count.size):
@@ -129,7 +131,7 @@ def deform_points(
     """Deformation gradient from nodal velocities (Eqs 22-24), then positions plus ``move`` increments."""
     node = stencils.node
     gradient = stencils.gradient
-    count = stencils.count
+    count = stencils.entries
     dim = columns.dimension
     rate = np.empty((dim, dim))
     change = np.empty((dim, dim))
@@ -167,7 +169,7 @@ def add_forces_of(stencils: Stencils, selected: IntArray, force: FloatArray, mom
     """Put force k [N] on the nodes of row ``selected[k]`` of a stencil table."""
     node = stencils.node
     weight = stencils.weight
-    count = stencils.count
+    count = stencils.entries
     dim = force.shape[1]
     for k in range(selected.size):
         p = selected[k]

@@ -7,7 +7,8 @@ A sweep goes over ranges of rows of the point table. Nodal tables have one row p
 - any other velocity table (rows, 2).
 
 Rows are addressed by unsigned numbers: signed ones cost a test for "counted from the end" at each access, a
-tenth of the time. All sweeps of a step use the shape functions at the positions of its start; the points move in the last.
+tenth of the time. All sweeps of a step use the shape functions at the positions of its start; the points move in
+the last.
 """
 
 from __future__ import annotations
@@ -116,7 +117,7 @@ def scatter_filtered(rows: FloatArray, ranges: Ranges, lattice: Lattice, field: 
 def _update(
     rows: FloatArray, p: int, corner: int, stride: int, sx: Any, sy: Any, motion: FloatArray, keep: float, dt: float
 ) -> float:
-    """New velocity and position increment of one point; returns the larger component of the increment, infinity for NaN."""
+    """New velocity and position increment of one point; returns the increment's larger component, infinity for NaN."""
     vx = 0.0
     vy = 0.0
     ax = 0.0

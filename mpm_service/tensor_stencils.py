@@ -1,7 +1,7 @@
 """Stencils on one uniform lattice in two or three dimensions, as products of one-dimensional functions.
 
-The hat function of node n averaged over ``xi - l ... xi + l`` is ``(G(xi + l - n) - G(xi - l - n)) / 2l`` with G
-its integral; this holds for domains of any width, also wider than a cell.
+The hat function of node n is averaged over ``xi - l ... xi + l`` as the area of the two trapezoids that its sides have
+there, over 2 l; this holds for domains of any width, also wider than a cell.
 """
 
 from __future__ import annotations
@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from .shapes import SLIVER
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -25,11 +27,11 @@ def _hat(t: float) -> float:
 
 
 @njit(inline="always")
-def _hat_integral(t: float) -> float:
-    """Integral of the hat function from 0 to t."""
-    s = min(abs(t), 1.0)
-    value = s - 0.5 * s * s
-    return value if t >= 0.0 else -value
+def _rise_integral(low: float, high: float) -> float:
+    """Integral of the rising side of the hat function, a trapezoid: a difference of integrals loses slivers."""
+    a = min(max(low, -1.0), 0.0)
+    b = min(max(high, -1.0), 0.0)
+    return 0.5 * (b - a) * ((1.0 + a) + (1.0 + b))
 
 
 @njit(cache=True, nogil=True)
@@ -47,7 +49,7 @@ def functions_1d(kind: int, xi: float, half: float, weight: FloatArray, slope: F
         return centre - 1, 3
     if not half > 0.0:
         first = int(np.floor(xi))
-        d = xi - first
+        d = max(xi - first, SLIVER)
         weight[0] = 1.0 - d
         weight[1] = d
         slope[0] = -1.0
@@ -61,7 +63,7 @@ def functions_1d(kind: int, xi: float, half: float, weight: FloatArray, slope: F
     for k in range(count):
         low = xi - half - (first + k)
         high = xi + half - (first + k)
-        weight[k] = (_hat_integral(high) - _hat_integral(low)) / (2.0 * half)
+        weight[k] = (_rise_integral(low, high) + _rise_integral(-high, -low)) / (2.0 * half)
         slope[k] = (_hat(high) - _hat(low)) / (2.0 * half)
     return first, count
 

@@ -126,6 +126,8 @@ class TimeIntegration:
     totals: Totals = field(default_factory=Totals)
     largest_increment: float = 0.0
     residual: float = 0.0
+    at_rest: bool = False
+    """Have all points just been stopped?"""
 
     def must_sort(self) -> bool:
         """Have points travelled, or cracks changed, so that points must be sorted before the next step?"""
@@ -177,16 +179,22 @@ class TimeIntegration:
             # All again and not the forces alone: domains that convect have changed with the strain.
             node_kernels.clear(active, tables.momentum)
             node_kernels.clear(active, tables.velocity)
+            if scheme.interpolation == "cpgimp":
+                mapping.tabulate(number)
+                active = mapping.active
             mapping.scatter_state(tables.momentum)
         self.balance.before_loads(tables.momentum, (active,))
         for load in self.loads:
             load.add_forces(number, tables.momentum)
         active = mapping.active  # loads may reach further nodes
         node_kernels.drop_slivers(active, tables.momentum, self.least_mass)
-        if self.damping.force_factor != 1.0:
-            scale_forces(active, tables.momentum, self.damping.force_factor)
-        self._accelerate(active)
-        self.residual = self.balance.residual(tables.momentum, tables.motion, (active,), dt)
+        # Velocities lag half a step behind positions, so points that are started from rest take half an impulse.
+        share = self.damping.force_factor * (0.5 if self.at_rest else 1.0)
+        self.at_rest = False
+        if share != 1.0:
+            scale_forces(active, tables.momentum, share)
+        self._accelerate(active, share)
+        self.residual = self.balance.residual(tables.momentum, tables.motion, (active,), dt, share)
         keep = self._choose_transfer(number, active)
         if scheme.integration in ("musl", "usavg"):
             self.largest_increment = mapping.update_remap(tables.motion, keep, dt, tables.velocity)
@@ -229,12 +237,12 @@ class TimeIntegration:
         if self.cracks is not None:
             self.cracks.hold(self.nodes.momentum, velocity, self.time_step)
 
-    def _accelerate(self, active: IntArray) -> None:
-        """New nodal velocities under all forces, damping, boundary conditions and contact."""
+    def _accelerate(self, active: IntArray, share: float) -> None:
+        """New nodal velocities under `share` of all forces, damping, boundary conditions and contact."""
         momentum, motion, dt = self.nodes.momentum, self.nodes.motion, self.time_step
         keep = self.damping.grid_factor(dt)
         node_kernels.accelerate(active, momentum, dt, keep, motion)
-        work, not_lost = self.boundary.accelerate(momentum, motion, keep)
+        work, not_lost = self.boundary.accelerate(momentum, motion, keep, share)
         self.totals.edge_work += work
         if self.cracks is not None:
             self.totals.friction_loss += self.cracks.hold(momentum, motion, dt, motion.shape[1] // 2)
@@ -253,7 +261,7 @@ class TimeIntegration:
             return 1.0
         dimension = tables.velocity.shape[1]
         if scheme.transfer == "xpic":
-            node_kernels.divide(active, tables.momentum, 1, tables.momentum, tables.filtered)
+            node_kernels.old_velocity(active, tables.motion, tables.filtered)
             self._filter(active, tables.filtered.copy(), before=True)
             node_kernels.add_to_increment(active, tables.filtered, tables.motion)
             return 0.0

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..elastic import IsotropicElastic
 from ..grid import Grid
 from ..loads import Traction
 from ..material_points import fill_rectangle
-from ..elastic import IsotropicElastic
 from ..scheme import Scheme
 from ..solver import MaterialPointSolver
 from .plots import BLUE, GREY, ORANGE, RED, new_picture, save_picture
@@ -26,7 +26,7 @@ YOUNG = 1.03e12  # Pa, graphene
 DENSITY = 2250.0  # kg/m3, graphene
 #: Cells travelled when the front is read.
 TRAVEL = 150
-COURANT = 0.45
+COURANT = 0.4
 
 
 def wave_speed() -> float:
@@ -127,9 +127,9 @@ def draw_bar_wave(waves: dict[str, BarWave], path: Path) -> Path:
     close.plot([0, front, front, LENGTH], [100, 100, 0, 0], **exact)
     close.set_xlim(front - 14, front + 5)
     whole.axhline(120, color=GREY, linewidth=0.8, linestyle=":")
-    whole.annotate("overshoot in the source's figure", (99, 121), ha="right", va="bottom", fontsize=8, color=GREY)
+    whole.annotate("overshoot in the source's figure", (99, 122), ha="right", va="bottom", fontsize=8, color=GREY)
     whole.set_title("Graphene bar, 100 m in 200 cells, a pull of 100 MPa at the left end")
-    whole.set_ylim(-8, 136)
+    whole.set_ylim(-24, 142)
     for panel in (whole, close):
         panel.set_ylabel("axial stress (MPa)")
         panel.legend(frameon=False, loc="lower left")

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..conditions import symmetry
+from ..elastic import IsotropicElastic
 from ..grid import Grid
 from ..material_points import fill_rectangle
-from ..elastic import IsotropicElastic
 from ..scheme import Scheme
 from ..solver import MaterialPointSolver
 from .plots import BLUE, GREY, new_picture, save_picture
@@ -105,7 +105,8 @@ def draw_free_vibration(vibration: FreeVibration, path: Path) -> Path:
     upper.plot(periods, vibration.modal_displacement, color=BLUE, linewidth=1.0, label="material points")
     upper.set_ylabel("displacement of mode 1\nover exact amplitude")
     upper.set_title(f"Free vibration of a bar of {CELLS} cells, fixed and free end")
-    upper.legend(frameon=True, loc="lower left", ncols=2)
+    upper.set_ylim(-1.2, 1.7)
+    upper.legend(frameon=False, loc="upper left", ncols=2)
     lower.plot(periods, vibration.energy, color=BLUE, linewidth=1.0)
     lower.set_ylabel("energy over that at the start")
     lower.set_xlabel("time over exact period")

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..conditions import symmetry
+from ..elastic import IsotropicElastic
 from ..grid import Grid
 from ..hyperelastic import NeoHookean
 from ..material_points import HXX, HYY, Body, fill_rectangle
-from ..elastic import IsotropicElastic
 from ..scheme import Scheme
 from ..solver import MaterialPointSolver
 from .plots import COLOURS, new_picture, save_picture
@@ -41,8 +41,18 @@ class Shaken:
 
     @property
     def peak(self) -> float:
-        """Largest energy over that at the start; above one means a mode that grows."""
+        """Largest energy over that at the start.
+
+        Velocities lag half a step behind positions, so the energy of the fastest modes swings and the sum may
+        pass one by some percent without any growth.
+        """
         return float(np.max(self.energy)) if np.all(np.isfinite(self.energy)) else float("inf")
+
+    @property
+    def growth(self) -> float:
+        """Mean energy of the last quarter of the run over that of the first: above one means a mode that grows."""
+        quarter = self.energy.size // 4
+        return float(self.energy[-quarter:].mean() / self.energy[:quarter].mean())
 
 
 def shake(
@@ -171,26 +181,21 @@ def hard_runs() -> dict[str, Shaken]:
     return {
         "nu = 0.499": shake(soft_in_shear),
         "nu = 0.499, neo-Hookean": shake(large),
-        "CFL 0.9": shake(plain, courant=HARDEST_COURANT),
+        "largest allowed time step": shake(plain, courant=FLIP.courant_limit),
+        "the same, default scheme": shake(plain, courant=Scheme().courant_limit, scheme=Scheme()),
         "one point a cell": shake(plain, single),
         "edges just over cell lines": shake(plain, drift=sliver_drift()),
     }
 
 
-#: Courant number of the case `CFL 0.9`.
-HARDEST_COURANT = 0.9
-
-
-def refusal_names_limit() -> bool:
-    """Is a time step above the limit refused with a message that names the limit?"""
+def refusal_names_limit(courant: float = 0.9) -> bool:
+    """Is a Courant number above the limit refused with a message that names both?"""
     law = IsotropicElastic(1.0e9, 0.3, 1000.0, "plane_strain")
     body = fill_rectangle((0.0, 0.0), (2.0, 2.0), 1.0)
-    grid = Grid((-3.0, -3.0), 1.0, (8, 8))
-    limit = MaterialPointSolver(grid, body, law, 1.0, 0.1 / law.pressure_wave_speed).stable_time_step
     try:
-        MaterialPointSolver(grid, body, law, 1.0, 1.01 * limit)
+        MaterialPointSolver(Grid((-3.0, -3.0), 1.0, (8, 8)), body, law, 1.0, courant / law.pressure_wave_speed)
     except ValueError as error:
-        return f"{limit:.6g}" in str(error)
+        return f"{Scheme().courant_limit}" in str(error) and f"{courant:.4g}" in str(error)
     return False
 
 

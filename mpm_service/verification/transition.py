@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..conditions import EdgeCondition
+from ..elastic import IsotropicElastic
 from ..grid import Grid
 from ..hierarchy import HierarchicalGrid
-from ..elastic import IsotropicElastic
+from ..hierarchy_filling import fill_hierarchy
 from ..scheme import Scheme
 from ..solver import MaterialPointSolver
 from .plots import BLUE, GREY, ORANGE, new_picture, save_picture
@@ -77,7 +78,7 @@ def run_transition(wavelength: float = 20.0, scheme: Scheme | None = None, refin
 
     solver = MaterialPointSolver(
         grid,
-        grid.fill_rectangle((0.0, 0.0), (float(length), float(HEIGHT))),
+        fill_hierarchy(grid, (0.0, 0.0), (float(length), float(HEIGHT))),
         LAW,
         1.0,
         _COURANT * 0.5 / speed,
@@ -98,22 +99,21 @@ def run_transition(wavelength: float = 20.0, scheme: Scheme | None = None, refin
 
 def draw_transition(refined: Reflection, plain: Reflection, wavelength: float, path: Path) -> Path:
     """Draw the burst before, at and after the transition, and what it leaves behind, enlarged."""
-    picture, panels = new_picture(3, 1, height=6.6)
+    picture, panels = new_picture(4, 1, height=8.0)
     front = round(APPROACH * wavelength)
-    titles = ("before", "at the transition", "after")
-    for panel, velocity, title in zip(panels, refined.velocity, titles, strict=True):
+    titles = ("before", "at the transition", "after", "after, enlarged")
+    for panel, title in zip(panels, titles, strict=True):
         panel.axvspan(front, refined.place[-1], color=ORANGE, alpha=0.12, linewidth=0)
-        panel.plot(refined.place, velocity, color=BLUE, linewidth=1.1)
-        panel.set_ylabel("velocity over\namplitude")
         panel.set_title(title, loc="left", fontsize=9)
         panel.set_xlim(0.0, refined.place[-1])
-    close = panels[2].inset_axes((0.05, 0.60, 0.48, 0.38))
-    for run, colour, label in ((refined, BLUE, "2:1 transition"), (plain, GREY, "coarse throughout")):
+    for panel, velocity in zip(panels, refined.velocity, strict=False):
+        panel.plot(refined.place, velocity, color=BLUE, linewidth=1.1)
+        panel.set_ylabel("velocity over\namplitude")
+    for run, colour, label in ((plain, GREY, "coarse throughout"), (refined, BLUE, "2:1 transition")):
         left = run.place < front - 2.0
-        close.plot(run.place[left], 100.0 * run.velocity[2][left], color=colour, linewidth=1.0, label=label)
-    close.set_title("left behind (%)", fontsize=8)
-    close.tick_params(labelsize=7)
-    close.legend(frameon=False, fontsize=7, loc="upper left")
-    panels[2].set_xlabel("place along the bar (coarse cells); fine cells in the shaded part")
+        panels[3].plot(run.place[left], 100.0 * run.velocity[2][left], color=colour, linewidth=1.1, label=label)
+    panels[3].set_ylabel("velocity over\namplitude (%)")
+    panels[3].legend(frameon=False, fontsize=8, loc="upper right")
+    panels[3].set_xlabel("place along the bar (coarse cells); fine cells in the shaded part")
     picture.suptitle(f"Burst of {wavelength:g} coarse cells wavelength through a 2:1 transition", fontsize=11)
     return save_picture(picture, path)

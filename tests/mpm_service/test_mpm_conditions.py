@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
+from mpm_service import BodyForce, Grid, IsotropicElastic, MaterialPointSolver, Scheme, fill_rectangle, relax
 from mpm_service.boundary_set import BoundarySet
 from mpm_service.conditions import FACES, EdgeCondition, NodeCondition, face_axis, face_sign, symmetry
 from mpm_service.time_functions import Constant, Ramp, Schedule, Sine, Step, Table
@@ -302,6 +303,23 @@ def test_damping_of_constrained_nodes_is_accounted_for() -> None:
     assert not_lost == pytest.approx(expected, rel=1e-12)
 
 
+def test_reaction_under_scaled_forces_is_that_of_scaled_masses() -> None:
+    """Forces times 1/4 with masses m move like whole forces with masses 4 m, and report the same reaction."""
+    lower, upper = BODY[2]
+    edges = [EdgeCondition("right", 0, (0.0, DT, 2 * DT), (0.1, 0.1 + 1e-3, 0.1 + 3e-3))]
+    answers = []
+    for factor, inertia in ((0.25, 1.0), (1.0, 4.0)):
+        momentum, motion = random_tables(PLANE, np.random.default_rng(8))
+        momentum[:, :3] *= inertia
+        momentum[:, 3:] *= factor
+        boundary = BoundarySet(edges, PLANE, lower, upper, DT)
+        work, _ = boundary.accelerate(momentum, motion, 1.0, factor)
+        answers.append((boundary.reaction[0], work, motion[PLANE.places[:, 0] == 3.0, 0]))
+    assert answers[0][0] == pytest.approx(answers[1][0], rel=1e-12)
+    assert answers[0][1] == pytest.approx(answers[1][1], rel=1e-12)
+    np.testing.assert_allclose(answers[0][2], answers[1][2], rtol=1e-12)
+
+
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_node_condition_holds_its_nodes_and_reports_their_reaction(dimension: int) -> None:
     grid = GRIDS[dimension]
@@ -391,7 +409,10 @@ def test_extra_velocity_fields_are_constrained_like_the_first() -> None:
 
 def test_restart_inside_a_block_gives_the_same_numbers() -> None:
     lower, upper = BODY[2]
-    edges = [EdgeCondition("right", 0, displacements=Sine(0.05, 31.0)), EdgeCondition("top", 0, velocities=Sine(1.0, 17.0))]
+    edges = [
+        EdgeCondition("right", 0, displacements=Sine(0.05, 31.0)),
+        EdgeCondition("top", 0, velocities=Sine(1.0, 17.0)),
+    ]
     one = BoundarySet(edges, PLANE, lower, upper, DT)
     momentum, motion = random_tables(PLANE, np.random.default_rng(1))
     for step in range(700):
@@ -401,6 +422,62 @@ def test_restart_inside_a_block_gives_the_same_numbers() -> None:
     copy = motion.copy()
     assert one.accelerate(momentum, motion) == other.accelerate(momentum, copy)
     np.testing.assert_array_equal(motion, copy)
+
+
+# ---- with the solver -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("interpolation", ["ugimp", "linear", "cpgimp"])
+def test_uniform_stretch_is_exact_up_to_driven_faces(interpolation: str) -> None:
+    """One step between faces driven apart, in the body's first and last points too."""
+    law = IsotropicElastic(1e9, 0.3, 1000.0, "plane_strain")
+    dt = 0.4 / law.pressure_wave_speed
+    rate = 1e-6 / dt
+    body = fill_rectangle((0.0, 0.0), (10.0, 6.0), 1.0)
+    edges = [
+        EdgeCondition("left", 0, velocities=Constant(0.0)),
+        EdgeCondition("right", 0, velocities=Constant(10.0 * rate)),
+        symmetry("bottom"),
+        symmetry("top"),
+    ]
+    solver = MaterialPointSolver(
+        Grid((-3.0, -3.0), 1.0, (16, 12)),
+        body,
+        law,
+        1.0,
+        dt,
+        edges,
+        initial_velocity_gradient=[[rate, 0.0], [0.0, 0.0]],
+        scheme=Scheme(interpolation=interpolation, transfer="flip"),  # type: ignore[arg-type]
+    )
+    solver.advance(1)
+    expected = np.tile([[1e-6, 0.0], [0.0, 0.0]], (body.count, 1, 1))
+    gradient = solver.points.deformation_gradient - np.eye(2)
+    np.testing.assert_allclose(gradient, expected, atol=1e-13)
+
+
+def test_supports_of_nodes_carry_the_weight() -> None:
+    law = IsotropicElastic(1e9, 0.3, 1000.0, "plane_stress")
+    supports = [
+        NodeCondition((0.0, 0.0), (0.0, 4.0), 1, (0.0,), (0.0,)),
+        NodeCondition((20.0, 0.0), (20.0, 4.0), 1, (0.0,), (0.0,)),
+    ]
+    solver = MaterialPointSolver(
+        Grid((-3.0, -3.0), 1.0, (26, 10)),
+        fill_rectangle((0.0, 0.0), (20.0, 4.0), 1.0),
+        law,
+        1.0,
+        0.5 / law.pressure_wave_speed,
+        supports,
+        loads=[BodyForce((0.0, -0.01))],
+    )
+    assert relax(solver, 1e-4, 5000).converged
+    np.testing.assert_allclose(solver.edge_reaction, 0.5 * 80.0 * 1000.0 * 0.01, rtol=1e-3)
+    middle = np.abs(solver.points.reference_position[:, 0] - 10.0) < 0.5
+    # Bernoulli's deflection 5 q L^4 / (384 E I) and Timoshenko's shear q L^2 / (8 k G A), k = 5/6.
+    q, inertia, shear = 40.0, 4.0**3 / 12.0, 1e9 / 2.6
+    bend = 5.0 * q * 20.0**4 / (384.0 * 1e9 * inertia) + q * 20.0**2 / (8.0 * 5.0 / 6.0 * shear * 4.0)
+    assert solver.points.displacement[middle, 1].mean() == pytest.approx(-bend, rel=0.03)
 
 
 # ---- bad input -----------------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from mpm_service import Grid, IsotropicElastic, MaterialPointSolver, Scheme, Traction, fill_rectangle, symmetry
 from mpm_service.damping import Damping, ForceBalance, Relaxation, damp_points, relax, scale_forces
 from mpm_service.material_points import columns
 
@@ -86,21 +87,21 @@ def test_mass_proportional_damping_is_that_of_the_damped_oscillator() -> None:
 
 @pytest.mark.parametrize("scaling", [0.25, 0.5, 0.75])
 def test_force_scaling_slows_by_the_root_and_takes_no_energy(scaling: float) -> None:
-    omega, dt = 1.3, 0.002
+    omega, dt = 1.3, 0.005
     chain = Chain(2, omega**2, dt, Damping(force_scaling=scaling))
     chain.u[1] = 1.0
-    signal = history(chain, 60000)
+    signal = history(chain, 15000)
     period = np.diff(crossings(signal, dt)).mean()
     assert period == pytest.approx(2 * np.pi / (omega * np.sqrt(1.0 - scaling)), rel=1e-5)
-    assert signal[-10000:].max() == pytest.approx(signal[:10000].max(), rel=1e-5)
-    assert signal[-10000:].max() == pytest.approx(1.0, rel=1e-3)
+    assert signal[-3000:].max() == pytest.approx(signal[:3000].max(), rel=1e-4)
+    assert signal[-3000:].max() == pytest.approx(1.0, rel=2e-3)
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_points_lose_velocity_and_the_energy_is_booked(dimension: int) -> None:
     c = columns(dimension)
     rng = np.random.default_rng(3)
-    rows = rng.random((9, c.count))
+    rows = rng.random((9, c.width))
     before = rows.copy()
     factor = Damping(point_rate=7.0).point_factor(0.01)
     assert factor == pytest.approx(np.exp(-0.07))
@@ -138,7 +139,7 @@ def test_residual_by_hand() -> None:
 
 
 def test_relaxation_reaches_the_static_solution() -> None:
-    chain = Chain(21, 4.0, 0.2)
+    chain = Chain(21, 4.0, 0.05)
     chain.external[:] = np.linspace(-1.0, 2.0, 21)
     chain.external[0] = 0.0
     result = relax(chain, 1e-8, 20000)
@@ -149,6 +150,72 @@ def test_relaxation_reaches_the_static_solution() -> None:
     pull = np.cumsum(chain.external[::-1])[::-1][1:] / 4.0
     np.testing.assert_allclose(chain.u[1:], np.cumsum(pull), rtol=1e-6)
     assert chain.kinetic_energy == 0.0
+
+
+@pytest.mark.parametrize(("transfer", "courant"), [("fmpm", 0.5), ("flip", 0.5), ("flip", 0.75)])
+def test_a_pulled_bar_relaxes_to_uniform_stress(transfer: str, courant: float) -> None:
+    law = IsotropicElastic(1e9, 0.3, 1000.0, "plane_stress")
+    solver = MaterialPointSolver(
+        Grid((-3.0, -3.0), 1.0, (26, 10)),
+        fill_rectangle((0.0, 0.0), (20.0, 4.0), 1.0),
+        law,
+        1.0,
+        courant / law.pressure_wave_speed,
+        [symmetry("left"), symmetry("bottom")],
+        scheme=Scheme(transfer=transfer),  # type: ignore[arg-type]
+        loads=[Traction("right", (1e3, 0.0))],
+    )
+    result = relax(solver, 1e-6, 3000)
+    assert result.converged
+    np.testing.assert_allclose(solver.points.stress, np.tile([1e3, 0.0, 0.0], (320, 1)), atol=0.02)
+    assert solver.edge_reaction[0] == pytest.approx(-4e3, rel=1e-5)
+    assert abs(solver.edge_reaction[1]) < 0.05
+
+
+def test_point_damping_of_rigid_motion_is_exact() -> None:
+    law = IsotropicElastic(1e9, 0.3, 1000.0, "plane_strain")
+    dt = 0.4 / law.pressure_wave_speed
+    body = fill_rectangle((0.0, 0.0), (6.0, 6.0), 1.0)
+    solver = MaterialPointSolver(
+        Grid((-3.0, -3.0), 1.0, (12, 12)),
+        body,
+        law,
+        1.0,
+        dt,
+        damping=Damping(point_rate=0.01 / dt),
+        initial_velocity=np.full((body.count, 2), 3.0),
+    )
+    start = solver.energies().kinetic
+    solver.advance(100)
+    np.testing.assert_allclose(solver.points.velocity, 3.0 * np.exp(-1.0), rtol=1e-11)
+    assert solver.energies().damping_loss == pytest.approx(start * (1.0 - np.exp(-2.0)), rel=1e-11)
+
+
+def test_scaled_forces_slow_a_bar_by_the_root() -> None:
+    periods = []
+    for scaling in (0.0, 0.75):
+        law = IsotropicElastic(1e9, 0.0, 1000.0, "plane_stress")
+        body = fill_rectangle((0.0, 0.0), (20.0, 1.0), 1.0)
+        dt = 0.4 / law.pressure_wave_speed
+        velocity = np.zeros((body.count, 2))
+        velocity[:, 0] = 1e-3 * np.sin(0.5 * np.pi * body.position[:, 0] / 20.0)
+        solver = MaterialPointSolver(
+            Grid((-3.0, -3.0), 1.0, (26, 7)),
+            body,
+            law,
+            1.0,
+            dt,
+            [symmetry("left")],
+            damping=Damping(force_scaling=scaling),
+            initial_velocity=velocity,
+        )
+        end = np.empty(1300 if scaling else 700)
+        for step in range(end.size):
+            solver.advance(1)
+            end[step] = solver.points.displacement[-1, 0]
+        periods.append(np.diff(crossings(end, dt)).mean())
+    assert periods[1] / periods[0] == pytest.approx(2.0, rel=1e-3)
+    assert periods[0] == pytest.approx(80.0 / law.pressure_wave_speed, rel=2e-3)
 
 
 def test_relaxation_that_cannot_end_says_so() -> None:

@@ -18,7 +18,7 @@ from mpm_service.hierarchy_stencils import (
     hierarchy_stencils,
 )
 from mpm_service.material_points import COLUMNS, HALF, HXX, HXY, HYX, HYY, MASS, VOLUME, VX, VY, Overlap, X, Y
-from mpm_service.shape_functions import gimp_shape_functions
+from mpm_service.shape_functions import shape_functions
 from mpm_service.splitting import find_oversized, split_points
 from mpm_service.stencils import Stencils
 
@@ -59,7 +59,7 @@ def test_partition_of_unity_and_linear_completeness(wide: float) -> None:
     at = GRID.node_positions()[node]
     finest = GRID.cell_sizes[-1]
     level = np.searchsorted(GRID.first_rows, node, side="right")
-    used = np.arange(node.shape[1]) < s.count[:, None]
+    used = np.arange(node.shape[1]) < s.entries[:, None]
     spans = np.where(used, level, 0).max(axis=1) - np.where(used, level, 9).min(axis=1)
     assert np.count_nonzero(spans) > 100  # stencils of two levels are among them
     assert weight.min() >= 0.0
@@ -74,7 +74,7 @@ def test_every_entry_is_a_row_of_its_own_that_holds_values() -> None:
     place = places()
     s = hierarchy_stencils(GRID, place, halves(place, np.random.default_rng(7)))
     owner = GRID.owner()
-    for row, count in zip(s.node, s.count, strict=True):
+    for row, count in zip(s.node, s.entries, strict=True):
         assert np.unique(row[:count]).size == count
         assert np.array_equal(owner[row[:count]], row[:count])
 
@@ -113,7 +113,7 @@ def test_five_node_functions_of_a_hand_computed_table(side: str, place: tuple, v
     # On the border itself either side gives the same values; the coarse side is asked a hair's breadth away.
     s = hierarchy_stencils(GRID, at(place[0], place[1] + 1e-13))
     found = np.zeros(5)
-    for row, weight in zip(s.node[0, : s.count[0]], s.weight[0], strict=False):
+    for row, weight in zip(s.node[0, : s.entries[0]], s.weight[0], strict=False):
         where = GRID.node_positions()[row]
         match = [k for k, n in enumerate([(0, 0), (1, 0), (1, 1), (0, 1), (0.5, 0)]) if np.allclose(at(*n), where)]
         assert len(match) == 1
@@ -127,7 +127,7 @@ def test_gradients_of_the_five_node_functions_by_hand() -> None:
     s = hierarchy_stencils(GRID, np.array([2.5 + 0.125, 8.0 + 0.25]))
     expected = {(2.5, 8.0): (-1.0, -0.5), (3.0, 8.5): (0.5, 0.25), (2.5, 8.5): (-0.5, 0.75)}
     expected[(2.75, 8.0)] = (1.0, -0.5)
-    for row, gradient in zip(s.node[0, : s.count[0]], s.gradient[0], strict=False):
+    for row, gradient in zip(s.node[0, : s.entries[0]], s.gradient[0], strict=False):
         slope = expected.pop(tuple(GRID.node_positions()[row].tolist()))
         np.testing.assert_allclose(gradient, np.array(slope) / 0.5, atol=1e-14)
     assert not expected
@@ -165,7 +165,7 @@ def test_averages_against_sampled_linear_functions() -> None:
     raster = (np.arange(60) + 0.5) / 30.0 - 1.0
     edge = (np.arange(2000) + 0.5) / 1000.0 - 1.0
     for p, centre in enumerate(centres):
-        one = Stencils(0, mean.node[p : p + 1], mean.weight[p : p + 1], mean.gradient[p : p + 1], mean.count[p : p + 1])
+        one = Stencils(0, mean.node[p : p + 1], mean.weight[p : p + 1], mean.gradient[p : p + 1], mean.entries[p : p + 1])
         cloud = centre + half[p] * np.stack(np.meshgrid(raster, raster), axis=-1).reshape(-1, 2)
         s = hierarchy_stencils(GRID, cloud)
         sampled = dense(s, s.weight, np.full(3600, 1.0 / 3600))
@@ -185,7 +185,7 @@ def test_one_level_is_uniform_gimp() -> None:
     rng = np.random.default_rng(3)
     place = grid.lower + 0.5 * (1.0 + rng.random((400, 2)) * (np.array(grid.cells) - 2.0))
     for size in (0.5, 0.25, 0.1):
-        node, weight, gradient = gimp_shape_functions(grid, place, size)
+        node, weight, gradient = shape_functions(grid, place, 0.5 * size)
         s = hierarchy_stencils(HierarchicalGrid(grid), place, 0.5 * size)
         for ours, theirs in (
             (s.weight, weight),
@@ -218,9 +218,9 @@ def test_points_that_are_not_special_have_the_block_of_their_level_wherever_they
     s = hierarchy_stencils(GRID, moved[chosen], 0.5 * size[chosen, None])
     for k, p in enumerate(chosen):
         grid, first = GRID.grids[level[p]], GRID.first_rows[level[p]]
-        node, weight, _ = gimp_shape_functions(grid, moved[p], size[p])
+        node, weight, _ = shape_functions(grid, moved[p : p + 1], 0.5 * size[p])
         assert np.array_equal(owner[first + node[0]], first + node[0])
-        used = slice(0, s.count[k])
+        used = slice(0, s.entries[k])
         ours = dict(zip(s.node[k, used].tolist(), s.weight[k, used].tolist(), strict=True))
         for n, w in zip(first + node[0], weight[0], strict=True):
             assert abs(ours.pop(int(n), 0.0) - w) < 1e-12
@@ -269,9 +269,9 @@ def test_domains_off_the_grid_or_too_wide_are_told_apart() -> None:
         np.zeros(3, np.int64),
     )
     assert fill_stencils(GRID.arrays, table, FIXED_DOMAIN, stencils) == 1
-    assert stencils.count[0] == 9 and stencils.count[1] == OUTSIDE and stencils.count[2] == TOO_WIDE
+    assert stencils.entries[0] == 9 and stencils.entries[1] == OUTSIDE and stencils.entries[2] == TOO_WIDE
     assert fill_stencils(GRID.arrays, table, NO_DOMAIN, stencils) == -1
-    assert stencils.count.tolist() == [4, 4, 4]
+    assert stencils.entries.tolist() == [4, 4, 4]
     with pytest.raises(ValueError, match="leaves the grid"):
         hierarchy_stencils(GRID, np.array([(9.1, 4.0)]))
     with pytest.raises(ValueError, match="too many nodes"):
@@ -292,8 +292,8 @@ def test_convected_domains_follow_the_rows_of_f() -> None:
     assert fill_stencils(GRID.arrays, table, CONVECTED_DOMAIN, stencils) == -1
     # Rows of F: (1.5, 0.8), length 1.7; (-0.3, 0.8), length sqrt(0.73).
     reference = hierarchy_stencils(GRID, table[:, :2], np.array([[0.08 * 1.7, 0.08 * np.sqrt(0.73)]]))
-    count = int(stencils.count[0])
-    assert count == reference.count[0]
+    count = int(stencils.entries[0])
+    assert count == reference.entries[0]
     assert np.array_equal(stencils.node[0, :count], reference.node[0, :count])
     np.testing.assert_allclose(stencils.weight[0, :count], reference.weight[0, :count], atol=1e-13)
 

@@ -52,7 +52,7 @@ class Points:
     def __init__(self, material: Material, count: int) -> None:
         self.material = material
         self.dim = 3 if material.assumption == "three_dimensional" else 2
-        self.rows = np.zeros((count, columns(self.dim).count))
+        self.rows = np.zeros((count, columns(self.dim).width))
         self.rows[:, columns(self.dim).volume] = VOLUME
         self.ids = np.random.default_rng(count).permutation(count).astype(np.int64)
         self.history = material.start_history(count)

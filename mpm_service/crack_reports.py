@@ -1,0 +1,168 @@
+"""What the replies tell of cracks: their tips, what was measured there, and growth and arrest as events."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mpm_service.crack_growth import CrackGrowth, GrowthLaw, TipState
+from mpm_service.cracks import Tip
+from mpm_service.solver import MaterialPointSolver
+from protocol import continuum as messages
+from protocol.arrays import FloatArray
+from protocol.errors import ProtocolError
+
+#: Rules of growth: the message's words and the solver's.
+RULES = {"straight": "straight", "max_hoop": "hoop"}
+#: What a measurement gives: fields of `CrackTip` and of the solver's `TipState`.
+_MEASURED = {
+    "j": "release_rate",
+    "k_1": "intensity_opening",
+    "k_2": "intensity_sliding",
+    "g_1": "release_opening",
+    "g_2": "release_sliding",
+    "hoop_stress": "hoop_stress",
+}
+#: Columns of the saved table before those: crack, end, step, whether it grew then.
+_KEY = 4
+
+
+def growth_law(crack: messages.CrackLine) -> GrowthLaw | None:
+    """Return the growth law of a crack as the solver has it."""
+    if crack.growth is None:
+        return None
+    return GrowthLaw(crack.growth.critical_energy_release_rate, RULES[crack.growth.rule])  # type: ignore[arg-type]
+
+
+class _Pushed:
+    """A solver under interface forces, for `CrackGrowth`, which knows nothing of them."""
+
+    def __init__(self, solver: MaterialPointSolver) -> None:
+        self._solver = solver
+        self.forces: dict[str, FloatArray | None] = {}
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._solver, name)
+
+    def advance(self, steps: int) -> None:
+        self._solver.advance(steps, **self.forces)
+
+
+class CrackReports:
+    """Advances a solver, measures its crack tips where that is asked for, and tells of them.
+
+    Parameters
+    ----------
+    solver : MaterialPointSolver
+    cracks : list of CrackLine
+        Of the request.
+
+    Raises
+    ------
+    ProtocolError
+        `unsupported`, where cracks are to be measured at different intervals.
+    ValueError
+        If the interval is shorter than a measurement takes.
+    """
+
+    def __init__(self, solver: MaterialPointSolver, cracks: list[messages.CrackLine]) -> None:
+        self._solver = _Pushed(solver)
+        self._cracks = cracks
+        #: Last measurement of each tip: step, whether the tip grew then, and the values; NaN where there is none.
+        self._measured: dict[tuple[int, int], tuple[int, bool, list[float]]] = {}
+        interval = self._interval()
+        self._growth = CrackGrowth(self._solver, interval) if interval else None
+
+    def _interval(self) -> int:
+        """Return the steps between measurements; 0 where there are none."""
+        found = 0
+        for k, crack in enumerate(self._cracks):
+            field = f"cracks.{k}.growth.interval" if crack.growth else f"cracks.{k}.measure_every"
+            interval = crack.growth.interval if crack.growth else crack.measure_every
+            if found and interval and interval != found:
+                raise ProtocolError(
+                    "unsupported",
+                    f"{field} is {interval}, an earlier crack has {found}: they must be equal",
+                    field=field,
+                )
+            found = found or interval
+        return found
+
+    def next_stop(self, step: int) -> int:
+        """Return the steps from `step` to the next measurement; a large number where there is none."""
+        return self._growth.interval - step % self._growth.interval if self._growth else 1 << 62
+
+    def advance(
+        self, steps: int, ivc_force: FloatArray | None, anchor_force: FloatArray | None
+    ) -> list[messages.ContinuumEvent]:
+        """Advance, at most to the next measurement, and return growth and arrest."""
+        self._solver.forces = {"ivc_force": ivc_force, "anchor_force": anchor_force}
+        if self._growth is None:
+            self._solver.advance(steps)
+            return []
+        self._growth.advance(steps)
+        if self._solver.step % self._growth.interval:
+            return []
+        return [event for state in self._growth.tips for event in self._note(state)]
+
+    def _note(self, state: TipState) -> list[messages.ContinuumEvent]:
+        """Keep a measurement; return what it means for a crack that may grow."""
+        key = (state.crack, state.end)
+        _, grew_before, _ = self._measured.get(key, (0, False, []))
+        grew = state.grown > 0.0
+        self._measured[key] = (state.step, grew, [getattr(state, name) for name in _MEASURED.values()])
+        if not grew and not grew_before:
+            return []
+        now = {(tip.crack, tip.end): tip for tip in self._solver.cracks.tips}
+        tip = self._tip(now[key]) if key in now else None
+        what = f"grew by {state.grown:.4g} m" if grew else "came to rest"
+        sentence = (
+            f"step {state.step}: crack {state.crack} {what} at its {('first', 'last')[state.end]} end, "
+            f"J = {state.release_rate:.4g} J/m2"
+        )
+        kind = "growth" if grew else "arrest"
+        return [messages.ContinuumEvent(kind=kind, step=state.step, sentence=sentence, tip=tip)]
+
+    def tips(self) -> list[messages.CrackTip]:
+        """Return the tips inside the body."""
+        cracks = getattr(self._solver, "cracks", None)
+        return [self._tip(tip) for tip in (cracks.tips if cracks else [])]
+
+    def _tip(self, tip: Tip) -> messages.CrackTip:
+        crack = self._cracks[tip.crack]
+        values: dict[str, float | int | None] = {}
+        if (crack.growth or crack.measure_every) and (tip.crack, tip.end) in self._measured:
+            step, _, measured = self._measured[tip.crack, tip.end]
+            values = {
+                name: value if np.isfinite(value) else None for name, value in zip(_MEASURED, measured, strict=True)
+            }
+            values["measured_at"] = step
+        place = (float(tip.position[0]), float(tip.position[1]))
+        return messages.CrackTip.model_validate(
+            {"crack": tip.crack, "end": tip.end, "position": place, "length": tip.length, **values}
+        )
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return what a restart needs beside the solver's state."""
+        if self._growth is None:
+            return {}
+        rows = [[*key, step, grew, *values] for key, (step, grew, values) in self._measured.items()]
+        table = np.array(rows, dtype=np.float64).reshape(-1, _KEY + len(_MEASURED))
+        return {"measured_tips": table, **self._growth.state()}
+
+    def check(self, state: dict[str, np.ndarray]) -> None:
+        """Raise ValueError where a state does not fit."""
+        for name, array in self.state().items():
+            if name not in state or state[name].shape[1:] != array.shape[1:]:
+                raise ValueError(f"field {name!r} is missing or has another shape")
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Set a state that `check` let pass."""
+        if self._growth is None:
+            return
+        self._growth.restore(state)
+        self._measured = {
+            (int(row[0]), int(row[1])): (int(row[2]), bool(row[3]), row[_KEY:].tolist())
+            for row in state["measured_tips"]
+        }
