@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import math
 
-from coordinator.scene import Scene
+from pydantic import TypeAdapter
+
+from coordinator.continuum_tables import CrackLine
+from coordinator.scene import Corners, Scene
+from coordinator.units import LENGTHS, TIMES, readable
+from coordinator.wave_speed import wave_speed
+from protocol import continuum as c
 from protocol.backend import Backend, find
 
 #: Area of an atom of a known material, m2; for estimates before anything is built.
@@ -27,13 +33,8 @@ def describe(scene: Scene) -> str:
     continuum = find("continuum", scene.continuum.backend)
     seconds = points * scene.run.steps * _rate(continuum, "")
     total += seconds
-    size = [scene.continuum.upper[k] - scene.continuum.lower[k] for k in (0, 1)]
-    lines += [
-        f"continuum    {continuum.name}: {scene.continuum.assumption.replace('_', ' ')}, "
-        f"{size[0] / _ANGSTROM:g} x {size[1] / _ANGSTROM:g} angstrom, cells of "
-        f"{scene.continuum.cell_size / _ANGSTROM:g} angstrom",
-        f"             {points} material points, step {step * 1e15:g} fs, about {_duration(seconds)}",
-    ]
+    lines += _continuum(scene, continuum.name)
+    lines.append(f"             {points} material points, step {_time(step)}, about {_duration(seconds)}")
     if scene.atomistic is None or scene.handshake is None:
         lines.append("atomistic    not started: the scene has no [atomistic]")
     else:
@@ -41,23 +42,88 @@ def describe(scene: Scene) -> str:
         total += _atomistic_seconds(scene)
     crack = scene.crack
     if crack is not None:
-        lines.append(f"crack        from the left edge to x = {crack.tip_x / _ANGSTROM:g} angstrom")
+        lines.append(f"crack        from the left edge to x = {_length(crack.tip_x)}")
+    lines += [_crack(line) for line in scene.continuum.cracks]
     lines += [
-        f"run          at most {scene.run.steps} coupling steps, {scene.run.steps * step * 1e12:g} ps",
+        f"run          at most {scene.run.steps} coupling steps, {_time(scene.run.steps * step)}",
         f"estimate     {_duration(total)} on one idle core; another machine or a busy one differs",
     ]
     return "\n".join(lines)
 
 
+def _continuum(scene: Scene, backend: str) -> list[str]:
+    body = scene.continuum
+    size = [body.upper[k] - body.lower[k] for k in (0, 1)]
+    scheme, cells = body.scheme, levels(scene)
+    order = f"({scheme.order})" if scheme.transfer in ("xpic", "fmpm") else ""
+    every = f" every {scheme.period} steps, FLIP between" if scheme.period > 1 and scheme.transfer != "flip" else ""
+    lines = [
+        f"continuum    {backend}: {body.assumption.replace('_', ' ')}, {_length(size[0])} x {_length(size[1])}, "
+        f"cells of {_length(body.cell_size)}",
+        f"             {scheme.interpolation}, {scheme.integration.upper()}, {scheme.transfer.upper()}{order}{every}; "
+        + _courant(scene),
+    ]
+    if len(cells) > 1:
+        lines += [
+            f"             level {k}: {count} cells of {_length(edge)}, {count * body.points_per_cell**2} points"
+            for k, (edge, count) in enumerate(cells)
+        ]
+    return lines
+
+
+def _courant(scene: Scene) -> str:
+    given = scene.continuum.material
+    if given is None:
+        return "Courant number known once the material is measured"
+    material: c.Material = TypeAdapter(c.Material).validate_python(given.constants())
+    number = wave_speed(material, scene.continuum.assumption) * scene.time_step / levels(scene)[-1][0]
+    return f"Courant number {number:.3g}"
+
+
+def _crack(crack: CrackLine) -> str:
+    place = " to ".join(f"({_length(x)}, {_length(y)})" for x, y in crack.points)
+    grows = "does not grow"
+    if crack.growth is not None:
+        grows = f"grows at {crack.growth.critical_energy_release_rate:g} J/m2 ({crack.growth.rule})"
+    return f"crack        {place}, {crack.contact}, {grows}"
+
+
+def levels(scene: Scene) -> list[tuple[float, int]]:
+    """Return edge of a cell, m, and number of cells that hold material, of each level of the grid."""
+    body, overlap = scene.continuum, scene.overlap()
+    boxes = [(body.lower, body.upper), *((level.lower, level.upper) for level in body.refinement)]
+    found = []
+    for level, box in enumerate(boxes):
+        edge = body.cell_size / 2**level
+        area = _area(box) - (_area(boxes[level + 1]) if level + 1 < len(boxes) else 0.0)
+        if overlap is not None:
+            # What the atoms alone have, of this level and not of the next one.
+            area -= _shared(box, overlap[0])
+            area += _shared(boxes[level + 1], overlap[0]) if level + 1 < len(boxes) else 0.0
+        found.append((edge, round(area / edge**2)))
+    return found
+
+
+def _area(box: Corners) -> float:
+    return (box[1][0] - box[0][0]) * (box[1][1] - box[0][1])
+
+
+def _shared(one: Corners, other: Corners) -> float:
+    sides = [min(one[1][k], other[1][k]) - max(one[0][k], other[0][k]) for k in (0, 1)]
+    return max(sides[0], 0.0) * max(sides[1], 0.0)
+
+
 def continuum_points(scene: Scene) -> int:
     """Return the number of material points."""
-    body = scene.continuum
-    area = (body.upper[0] - body.lower[0]) * (body.upper[1] - body.lower[1])
-    overlap = scene.overlap()
-    if overlap is not None:
-        (low_x, low_y), (high_x, high_y) = overlap[0]
-        area -= (high_x - low_x) * (high_y - low_y)
-    return round(area / body.cell_size**2) * body.points_per_cell**2
+    return sum(count for _, count in levels(scene)) * scene.continuum.points_per_cell**2
+
+
+def _length(value: float) -> str:
+    return readable(value, LENGTHS)
+
+
+def _time(value: float) -> str:
+    return readable(value, TIMES)
 
 
 def _atoms(scene: Scene) -> list[str]:

@@ -20,10 +20,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from pydantic import TypeAdapter
 
+from coordinator.continuum_request import continuum_request
 from coordinator.handshake import Handshake, choose
 from coordinator.interface import Interface, build_interface
 from coordinator.scene import Corners, Scene
+from coordinator.series import TIP_SERIES
 from coordinator.strip import strip_j
 from protocol import atomistic as a
 from protocol import continuum as c
@@ -48,12 +51,18 @@ class StepRecord:
         Averaged reaction on the continuum and its standard error, N.
     warnings : list of str
         Of the atomistic service.
+    events : list of ContinuumEvent
+        Of the continuum.
+    tips : list of CrackTip
+        Of the continuum.
     """
 
     values: dict[str, float]
     ivc_force: FloatArray | None = None
     ivc_error: FloatArray | None = None
     warnings: list[str] = field(default_factory=list)
+    events: list[c.ContinuumEvent] = field(default_factory=list)
+    tips: list[c.CrackTip] = field(default_factory=list)
 
 
 class Coupling:
@@ -95,6 +104,7 @@ class Coupling:
         self._reaction: FloatArray | None = None
         self._start_energy: float | None = None
         self._start_tip: float | None = None
+        self._start_length: dict[int, float] = {}
 
     # --- preparation -------------------------------------------------------------------------------------
 
@@ -161,7 +171,8 @@ class Coupling:
         )
         self.atom_id, self.atom_mass, self.atom_position = built.atom_id, built.atom_mass, built.position
         self.warnings += built.warnings
-        material = self.material
+        material = self._isotropic
+        assert material is not None  # held by the scene's checks
         # The ring ends where the atoms do: continuum of small weight beyond the last atoms would be a soft gap.
         low, high = built.position[:, :2].min(axis=0), built.position[:, :2].max(axis=0)
         corners = scene.overlap(float(high[0] - low[0]), float(high[1] - low[1]))
@@ -198,11 +209,23 @@ class Coupling:
         return None if given is None else given / self._volume_per_atom(mass)
 
     @property
-    def material(self) -> c.IsotropicMaterial:
-        """Constants of the continuum: the scene's, or those measured for the potential."""
-        source = self.scene.continuum.material or self.properties
-        assert source is not None  # held by the scene's checks
-        return c.IsotropicMaterial(young=source.young, poisson=source.poisson, density=source.density)
+    def material(self) -> c.Material:
+        """Material of the continuum: the scene's, or the constants measured for the potential."""
+        given = self.scene.continuum.material
+        if given is not None:
+            material: c.Material = TypeAdapter(c.Material).validate_python(given.constants())
+            return material
+        assert self.properties is not None  # held by the scene's checks
+        measured = self.properties
+        return c.IsotropicMaterial(young=measured.young, poisson=measured.poisson, density=measured.density)
+
+    @property
+    def _isotropic(self) -> c.IsotropicMaterial | None:
+        """Elastic constants at small strain, where one modulus and one ratio tell them."""
+        material = self.material
+        if isinstance(material, c.OrthotropicMaterial):
+            return None
+        return c.IsotropicMaterial(young=material.young, poisson=material.poisson, density=material.density)
 
     @property
     def thickness(self) -> float:
@@ -212,42 +235,15 @@ class Coupling:
         return source.thickness
 
     def _configure_continuum(self) -> None:
-        scene = self.scene.continuum
-        crack = self.scene.crack
-        self._tell("build continuum")
-        cracks = []
-        if crack is not None:
-            # It starts outside the body so that the left edge is cut through; inside the atoms it is theirs.
-            start = (scene.lower[0] - scene.cell_size, crack.y)
-            cracks = [c.CrackLine(points=[start, (crack.tip_x, crack.y)])]
-        self.configured = self._continuum.call(
-            "configure",
-            c.ContinuumConfigure(
-                assumption=scene.assumption,
-                thickness=self.thickness,
-                body=Rectangle(lower=scene.lower, upper=scene.upper),
-                cell_size=scene.cell_size,
-                points_per_cell=scene.points_per_cell,
-                material=self.material,
-                overlap=self.interface.overlap if self.interface else None,
-                cracks=cracks,
-                edges=[
-                    c.EdgeCondition.model_validate(
-                        {
-                            "edge": edge.edge,
-                            "component": edge.axis,
-                            "times": edge.times,
-                            "displacements": edge.displacements,
-                        }
-                    )
-                    for edge in scene.edges
-                ],
-                initial_velocity_gradient=scene.initial_velocity_gradient(),
-                damping_rate=scene.damping_rate,
-                time_step=self.scene.time_step,
-            ),
-            c.ContinuumConfigured,
-        )
+        self._tell("relax continuum" if self.scene.continuum.preload else "build continuum")
+        request = continuum_request(self.scene, self.material, self.thickness, self.interface)
+        self.configured = self._continuum.call("configure", request, c.ContinuumConfigured)
+        relaxed = self.configured.relaxation
+        if relaxed is not None and not relaxed.converged:
+            self.warnings.append(
+                f"The preload ended after {relaxed.steps} steps with a residual of {relaxed.residual:.2g}, above"
+                " continuum.preload.tolerance: raise its max_steps."
+            )
 
     def _register(self, atomistic: Client, interface: Interface) -> None:
         handshake = self.scene.handshake
@@ -297,13 +293,16 @@ class Coupling:
             "continuum_edge_work": continuum.edge_work,
             "continuum_interface_work": continuum.interface_work,
             "continuum_damping_loss": continuum.damping_loss,
+            "continuum_load_work": continuum.load_work,
+            "continuum_dissipated": continuum.dissipated_energy,
             "points_lost": float(continuum.points_lost),
             "courant": self.configured.courant_number,
             **self._load(continuum),
+            **_tip_values(continuum.tips),
         }
         self.step += 1
         if self._atomistic is None or self.interface is None or self.scene.handshake is None:
-            return StepRecord(values)
+            return StepRecord(values, events=continuum.events, tips=continuum.tips)
         atoms = self._atomistic.call(
             "advance",
             a.AtomisticAdvance(
@@ -316,7 +315,9 @@ class Coupling:
         )
         self._reaction = atoms.ivc_force if by_ivc else atoms.anchor_force
         values.update(self._exchange(atoms))
-        return StepRecord(values, atoms.ivc_force, atoms.ivc_standard_error, atoms.warnings)
+        return StepRecord(
+            values, atoms.ivc_force, atoms.ivc_standard_error, atoms.warnings, continuum.events, continuum.tips
+        )
 
     def _load(self, continuum: c.ContinuumAdvanced) -> dict[str, float]:
         """Return load measures of the first edge that pulls the body apart along y."""
@@ -325,6 +326,7 @@ class Coupling:
         moved = {
             (edge.edge, edge.axis): (continuum.edge_displacement[k], continuum.edge_force[k])
             for k, edge in enumerate(scene.edges)
+            if edge.moves
         }
         top, bottom = moved.get(("top", 1)), moved.get(("bottom", 1))
         if top is None or bottom is None:
@@ -333,9 +335,10 @@ class Coupling:
         strain = float(top[0] - bottom[0]) / height
         found["applied_strain"] = strain
         found["edge_force"] = float(top[1])
-        if self.scene.crack is not None:
+        elastic = self._isotropic
+        if self.scene.crack is not None and elastic is not None:
             found["j_boundary"] = strip_j(
-                self.material, self.scene.continuum.assumption, strain, height, sideways_free=("top", 0) not in moved
+                elastic, self.scene.continuum.assumption, strain, height, sideways_free=("top", 0) not in moved
             )
         return found
 
@@ -371,10 +374,11 @@ class Coupling:
         return values
 
     def crack_growth(self, record: StepRecord) -> float:
-        """Return how far the atoms' crack tip has moved since the start, m."""
-        if self._start_tip is None or "crack_tip" not in record.values:
-            return 0.0
-        return record.values["crack_tip"] - self._start_tip
+        """Return how far a crack tip has moved since the start, m: the atoms', or the continuum's furthest."""
+        if self._start_tip is not None and "crack_tip" in record.values:
+            return record.values["crack_tip"] - self._start_tip
+        grown = [tip.length - self._start_length.setdefault(tip.crack, tip.length) for tip in record.tips]
+        return max(grown, default=0.0)
 
     # --- fields and state --------------------------------------------------------------------------------
 
@@ -400,6 +404,8 @@ class Coupling:
             found["coupling.reaction"] = self._reaction
         start = (self._start_energy, self._start_tip)
         found["coupling.start"] = np.array([np.nan if value is None else value for value in start])
+        lengths = self._start_length.items()
+        found["coupling.start_length"] = np.array([[float(crack), length] for crack, length in lengths]).reshape(-1, 2)
         return found
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
@@ -408,6 +414,7 @@ class Coupling:
         self._reaction = state.get("coupling.reaction")
         energy, tip = (None if np.isnan(value) else float(value) for value in state["coupling.start"])
         self._start_energy, self._start_tip = energy, tip
+        self._start_length = {int(crack): float(length) for crack, length in state["coupling.start_length"]}
         for role, client in self._clients():
             own = {name.split(".", 1)[1]: array for name, array in state.items() if name.startswith(role + ".")}
             request = RestoreRequest(step=int(state[f"coupling.{role}_step"][0]), state=own)
@@ -416,6 +423,16 @@ class Coupling:
     def _clients(self) -> list[tuple[str, Client]]:
         both = (("continuum", self._continuum), ("atomistic", self._atomistic))
         return [(role, client) for role, client in both if client is not None]
+
+
+def _tip_values(tips: list[c.CrackTip]) -> dict[str, float]:
+    """Return time series of the continuum's crack tips, named by crack and end."""
+    found: dict[str, float] = {}
+    for tip in tips:
+        values = {"x": tip.position[0], "y": tip.position[1], **{name: getattr(tip, name) for name in TIP_SERIES}}
+        start = f"tip_{tip.crack}_{tip.end}_"
+        found.update({start + name: value for name, value in values.items() if value is not None})
+    return found
 
 
 def _rectangle(corners: Corners) -> Rectangle:

@@ -10,10 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.patches import Rectangle
 
+from coordinator.display_units import ANGSTROM, units_of
 from coordinator.figures import (
-    ANGSTROM,
     BLUE,
-    GIGAPASCAL,
     GREEN,
     INK,
     PALE,
@@ -96,12 +95,13 @@ def _scene_picture(
     title: str,
     close: bool,
 ) -> Picture:
-    figure, axes, _, scale = map_axes(*window, bar=False)
+    unit, name = units_of(scene).length
+    figure, axes, _, scale = map_axes(*window, bar=False, unit=name)
     _grid(axes, scene, window, lines=close)
-    flat = points.position[:, :2] / ANGSTROM
+    flat = points.position[:, :2] / unit
     seen = _inside(flat, window)
     shared = points.weight < 1.0
-    spacing = scene.continuum.cell_size / scene.continuum.points_per_cell / ANGSTROM
+    spacing = scene.continuum.cell_size / scene.continuum.points_per_cell / unit
     size = ((0.42 if close else 1.3) * spacing * scale) ** 2  # apart from each other, or as an area
     for part, colour, label in ((~shared, POINT, "material point"), (shared, SHARED, "material point, shared")):
         chosen = seen & part
@@ -118,13 +118,16 @@ def _scene_picture(
     if atoms is not None:
         _atoms(axes, results, atoms[:, :2] / ANGSTROM, window, scale, close)
     for low, high in zip(results.interface.get("ivc_lower", ()), results.interface.get("ivc_upper", ()), strict=True):
-        _rectangle(axes, low, high, GREEN, 1.0 if close else 0.5, None)
+        _rectangle(axes, low, high, GREEN, 1.0 if close else 0.5, None, unit)
     if "ivc_lower" in results.interface:
         axes.plot([], [], color=GREEN, label="interface volume cell")
     if scene.crack is not None:
-        start, tip, y = (v / ANGSTROM for v in (scene.continuum.lower[0], scene.crack.tip_x, scene.crack.y))
+        start, tip, y = (v / unit for v in (scene.continuum.lower[0], scene.crack.tip_x, scene.crack.y))
         if window[0][0] < tip and window[1][0] < y < window[1][1]:
             axes.plot([start, tip], [y, y], color=RED, linewidth=1.4, label="crack")
+    for number, crack in enumerate(scene.continuum.cracks):
+        x, y = np.array(crack.points).T / unit
+        axes.plot(x, y, color=RED, linewidth=1.4, label="crack" if number == 0 and scene.crack is None else None)
     if not close:
         _edge_arrows(axes, scene)
     handles, labels = axes.get_legend_handles_labels()
@@ -144,7 +147,7 @@ def _scene_picture(
     caption = (
         "Material points, atoms, anchors and cells in their true places; thin lines are the grid."
         if close
-        else "Arrows: edges that are moved. Shared points carry part of stiffness and mass beside the atoms."
+        else "Arrows: edges that are moved or loaded. Shared points carry part of stiffness and mass beside the atoms."
     )
     return picture(figure, title, caption, raster=True)
 
@@ -182,7 +185,7 @@ def stress_pictures(results: Results, scene: Scene, most: int = 3) -> list[Pictu
     if points is None or len(points) < 2:
         return []
     frames = _chosen(len(points), most)
-    limit = _limits(points.frame(frames[-1]).stress[:, 1] / GIGAPASCAL)
+    limit = _limits(points.frame(frames[-1]).stress[:, 1] / units_of(scene).stress[0])
     found = []
     whole = _body_window(scene)
     around = whole
@@ -211,13 +214,15 @@ def _stress_picture(
     limit: tuple[float, float, str],
     where: str,
 ) -> Picture:
-    figure, axes, side, scale = map_axes(*window, bar=True)
-    flat = data.position[:, :2] / ANGSTROM
-    spacing = scene.continuum.cell_size / scene.continuum.points_per_cell / ANGSTROM
+    units = units_of(scene)
+    unit, name = units.length
+    figure, axes, side, scale = map_axes(*window, bar=True, unit=name)
+    flat = data.position[:, :2] / unit
+    spacing = scene.continuum.cell_size / scene.continuum.points_per_cell / unit
     seen = _inside(flat, window, margin=spacing)
     drawn = axes.scatter(
-        flat[seen, 0], flat[seen, 1], c=data.stress[seen, 1] / GIGAPASCAL, s=(1.04 * spacing * scale) ** 2, marker="s",
-        linewidths=0, vmin=limit[0], vmax=limit[1], cmap=limit[2],
+        flat[seen, 0], flat[seen, 1], c=data.stress[seen, 1] / units.stress[0], s=(1.04 * spacing * scale) ** 2,
+        marker="s", linewidths=0, vmin=limit[0], vmax=limit[1], cmap=limit[2],
     )  # fmt: skip
     if atoms is not None:
         place = atoms[:, :2] / ANGSTROM
@@ -226,12 +231,12 @@ def _stress_picture(
             place[chosen, 0], place[chosen, 1], s=max(0.3, (0.55 * scale) ** 2), color=INK, linewidths=0, zorder=3
         )
     assert side is not None
-    figure.colorbar(drawn, cax=side, extend="both").set_label("σ$_{yy}$ (GPa)")
-    time = data.time / 1e-12
-    caption = f"Step {data.step}, {time:.3g} ps. " + (
+    figure.colorbar(drawn, cax=side, extend="both").set_label(f"σ$_{{yy}}$ ({units.stress[1]})")
+    time = f"{data.time / units.time[0]:.3g} {units.time[1]}"
+    caption = f"Step {data.step}, {time}. " + (
         "Dots are atoms; stress is drawn on material points only." if atoms is not None else "True displacements."
     )
-    return picture(figure, f"Stress along y, {where}, {time:.3g} ps", caption, raster=True)
+    return picture(figure, f"Stress along y, {where}, {time}", caption, raster=True)
 
 
 def crack_pictures(results: Results, scene: Scene, most: int = 4) -> list[Picture]:
@@ -343,7 +348,8 @@ def _limits(values: FloatArray) -> tuple[float, float, str]:
 
 
 def _body_window(scene: Scene) -> Window:
-    low, high = np.array(scene.continuum.lower) / ANGSTROM, np.array(scene.continuum.upper) / ANGSTROM
+    unit, _ = units_of(scene).length
+    low, high = np.array(scene.continuum.lower) / unit, np.array(scene.continuum.upper) / unit
     margin = 0.05 * (high - low).max()
     x, y = ((float(low[k] - margin), float(high[k] + margin)) for k in (0, 1))
     return x, y
@@ -379,8 +385,10 @@ def _bonds(flat: FloatArray, reach: float | None = None) -> tuple[FloatArray, Fl
     return np.stack([one, other], axis=1)[close], lengths[close]
 
 
-def _rectangle(axes: Axes, low: FloatArray, high: FloatArray, colour: str, width: float, dash: str | None) -> None:
-    corner, size = low[:2] / ANGSTROM, (high - low)[:2] / ANGSTROM
+def _rectangle(
+    axes: Axes, low: FloatArray, high: FloatArray, colour: str, width: float, dash: str | None, unit: float = ANGSTROM
+) -> None:
+    corner, size = low[:2] / unit, (high - low)[:2] / unit
     axes.add_patch(
         Rectangle(
             (corner[0], corner[1]), size[0], size[1], fill=False, edgecolor=colour, linewidth=width,
@@ -392,23 +400,27 @@ def _rectangle(axes: Axes, low: FloatArray, high: FloatArray, colour: str, width
 def _grid(axes: Axes, scene: Scene, window: Window, lines: bool) -> None:
     """Draw the outline of the body and, close by, the lines of its cells."""
     low, high = np.array(scene.continuum.lower), np.array(scene.continuum.upper)
-    _rectangle(axes, low, high, INK, 1.0, None)
+    unit, _ = units_of(scene).length
+    _rectangle(axes, low, high, INK, 1.0, None, unit)
+    for level in scene.continuum.refinement:
+        _rectangle(axes, np.array(level.lower), np.array(level.upper), PALE, 0.8, "--", unit)
     if not lines:
         return
     for axis, draw in ((0, axes.axvline), (1, axes.axhline)):
         count = round((high[axis] - low[axis]) / scene.continuum.cell_size)
         for k in range(count + 1):
-            place = (low[axis] + k * scene.continuum.cell_size) / ANGSTROM
+            place = (low[axis] + k * scene.continuum.cell_size) / unit
             if window[axis][0] < place < window[axis][1]:
                 draw(place, color="#d5d9de", linewidth=0.6, zorder=0)
 
 
 def _edge_arrows(axes: Axes, scene: Scene) -> None:
-    """Draw the last displacement of each moved edge as an arrow of fixed length."""
-    low, high = np.array(scene.continuum.lower) / ANGSTROM, np.array(scene.continuum.upper) / ANGSTROM
+    """Draw the way in which each edge is moved or loaded at last as arrows of fixed length."""
+    unit, _ = units_of(scene).length
+    low, high = np.array(scene.continuum.lower) / unit, np.array(scene.continuum.upper) / unit
     middle, reach = 0.5 * (low + high), 0.04 * (high - low).max()
     for edge in scene.continuum.edges:
-        way = edge.displacements[-1]
+        way = edge.last_way
         if way == 0.0:
             continue
         for share in (-0.3, 0.0, 0.3):

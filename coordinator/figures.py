@@ -14,12 +14,6 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-ANGSTROM = 1e-10
-PICOSECOND = 1e-12
-ELECTRONVOLT = 1.602176634e-19
-NANONEWTON = 1e-9
-GIGAPASCAL = 1e9
-
 # Okabe and Ito's set, told apart by the colour-blind.
 BLUE, ORANGE, GREEN, RED, PURPLE, SKY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"
 INK, PALE = "#20262e", "#8a94a0"
@@ -110,16 +104,18 @@ def panels(count: int, height: float) -> tuple[Figure, list[Axes]]:
     return figure, list(axes[:, 0])
 
 
-def map_axes(x: tuple[float, float], y: tuple[float, float], bar: bool) -> tuple[Figure, Axes, Axes | None, float]:
-    """Return axes of equal scale that just hold a region in Angstrom, room for a colour bar, and the scale.
+def map_axes(
+    x: tuple[float, float], y: tuple[float, float], bar: bool, unit: str = "Å"
+) -> tuple[Figure, Axes, Axes | None, float]:
+    """Return axes of equal scale that just hold a region in `unit`, room for a colour bar, and the scale.
 
     Returns
     -------
     figure, axes, bar axes or None
     scale : float
-        Points of print (1/72 inch) an Angstrom, for the size of markers.
+        Points of print (1/72 inch) a unit, for the size of markers.
     """
-    left, right, bottom, top = 0.62, 0.88 if bar else 0.1, 0.42, 0.1
+    left, right, bottom, top = 0.74, 0.88 if bar else 0.1, 0.42, 0.1
     width = WIDTH - left - right
     height = width * (y[1] - y[0]) / (x[1] - x[0])
     if height > 1.25 * width:  # a tall body is drawn narrower, not longer than a screen
@@ -127,7 +123,7 @@ def map_axes(x: tuple[float, float], y: tuple[float, float], bar: bool) -> tuple
     total = height + bottom + top
     figure = Figure(figsize=(WIDTH, total))
     axes = figure.add_axes((left / WIDTH, bottom / total, width / WIDTH, height / total))
-    axes.set(xlim=x, ylim=y, xlabel="x (Å)", ylabel="y (Å)")
+    axes.set(xlim=x, ylim=y, xlabel=f"x ({unit})", ylabel=f"y ({unit})")
     axes.grid(False)
     axes.spines[["top", "right"]].set_visible(True)
     side = None

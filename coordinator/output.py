@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -97,6 +98,8 @@ class RunOutput:
         self._writer.row(coupling.step, values)
         if record.ivc_force is not None and record.ivc_error is not None:
             self._writer.ivc_row(coupling.step, record.ivc_force, record.ivc_error)
+        for event in record.events:
+            self._writer.event(coupling.step, event.model_dump(mode="json", exclude_none=True))
         for warning in record.warnings:
             self._warnings[warning] = None
 
@@ -126,10 +129,12 @@ class RunOutput:
         """Commit the rest and write `summary.json`."""
         measures: dict[str, float | None] = {}
         units: dict[str, str] = {}
+        events: list[dict[str, Any]] = []
         if self._writer is not None:
             self._writer.close(status)
             with Results(self._path) as results:
                 measures, units = measures_of(results)
+                events = results.events
         Summary(
             scene=self.scene.name,
             title=self.scene.title,
@@ -145,6 +150,7 @@ class RunOutput:
             measures=measures,
             units=units,
             warnings=list(self._warnings),
+            events=events,
             versions=versions(),
             seeds={"run": self.scene.run.seed},
             command=self._command,

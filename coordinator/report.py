@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from coordinator.display_units import ANGSTROM, ATOMIC, ELECTRONVOLT, Units, units_of
 from coordinator.field_figures import (
     applied_strain,
     crack_pictures,
@@ -16,12 +17,12 @@ from coordinator.field_figures import (
     strain_pictures,
     stress_pictures,
 )
-from coordinator.figures import ANGSTROM, ELECTRONVOLT, Picture, style
+from coordinator.figures import Picture, style
 from coordinator.report_page import page
 from coordinator.results import Results
 from coordinator.scene import Scene, SceneError, read_resolved
 from coordinator.series import series_of
-from coordinator.series_figures import SHOWN, series_pictures
+from coordinator.series_figures import series_pictures, shown
 from coordinator.summary import Summary, measures_of
 
 #: A tip by connectivity moves by whole rows; less than this is no growth.
@@ -113,6 +114,7 @@ def _report(results: Results, summary: Summary | None) -> str:
         headline=headline(results, scene, measures),
         reason=reason,
         facts=_facts(results, summary, scene),
+        events=[event["sentence"] for event in results.events],
         warnings=_warnings(results, summary, scene),
         sections=[(s.title, s.text, [p.html() for p in s.pictures]) for s in sections if s.pictures],
         numbers=_numbers(results, scene, measures),
@@ -140,6 +142,10 @@ def headline(results: Results, scene: Scene | None, measures: dict[str, float | 
     if growth is not None:
         onset = j_at_first_break(results)
         at = f" The first bond broke at J\u00a0=\u00a0{onset:.3g}\u00a0J/m²." if onset is not None else ""
+        units = units_of(scene) if scene is not None else ATOMIC
+        if growth > LEAST_GROWTH and results.atoms is None:
+            size, name = units.length
+            return f"The crack grew by {growth / size:.3g}\u00a0{name}."
         if growth > LEAST_GROWTH:
             bonds = measures.get("broken_bonds_end") or 0.0
             return f"The crack grew by {growth / ANGSTROM:.3g}\u00a0Å, {_bonds(bonds)} broke.{at}"
@@ -176,11 +182,12 @@ def j_at_first_break(results: Results) -> float | None:
 
 def _facts(results: Results, summary: Summary | None, scene: Scene | None) -> list[tuple[str, str]]:
     """Return the tiles at the head of the page: value, and what it is."""
+    units = units_of(scene) if scene is not None else ATOMIC
     steps = int(results.step[-1]) if len(results.step) else 0
     asked = summary.steps_asked if summary is not None else (scene.run.steps if scene is not None else 0)
     found = [(f"{steps:,} of {asked:,}", "coupling steps")]
     if len(results.step) and "time" in results.series:
-        found.append((f"{results.series['time'][-1] / 1e-12:.3g} ps", "simulated"))
+        found.append((f"{results.series['time'][-1] / units.time[0]:.3g} {units.time[1]}", "simulated"))
     if results.atoms is not None:
         found.append((f"{len(results.atoms.atom_id):,}", "atoms"))
     if results.points is not None and len(results.points):
@@ -218,6 +225,7 @@ def _warnings(results: Results, summary: Summary | None, scene: Scene | None) ->
 def _numbers(results: Results, scene: Scene | None, measures: dict[str, float | None]) -> list[tuple[str, str, str]]:
     """Return rows of the table of key numbers: what, value, unit."""
     rows: list[tuple[str, str, str]] = []
+    units = units_of(scene) if scene is not None else ATOMIC
     onset = j_at_first_break(results)
     if onset is not None:
         rows.append(("J from the edges when the first bond breaks", f"{onset:.4g}", "J/m²"))
@@ -229,18 +237,30 @@ def _numbers(results: Results, scene: Scene | None, measures: dict[str, float | 
         if applied:
             rows.append(("Error of the strain along y", f"{100 * (strain.yy / applied - 1):+.3g}", "% of applied"))
     for name in [*_MEASURES, *(name for name in measures if name not in _MEASURES)]:
-        label, unit, size = _MEASURES.get(name, (name.replace("_", " "), "", 1.0))
+        label, unit, size = _in_units(_MEASURES.get(name, (name.replace("_", " "), "", 1.0)), units)
         value = measures.get(name)
+        if name == "continuum_energy_drift" and any(event["kind"] == "growth" for event in results.events):
+            label = "Energy of the continuum that no work explains, growing cracks take it"
         if value is not None:
             rows.append((label, f"{value / size:.4g}", unit))
     return rows
+
+
+def _in_units(measure: tuple[str, str, float], units: Units) -> tuple[str, str, float]:
+    """Return a measure in the units of the scene."""
+    label, unit, size = measure
+    for atomic, own in zip((ATOMIC.length, ATOMIC.energy, ATOMIC.force), (units.length, units.energy, units.force),
+                           strict=True):  # fmt: skip
+        if unit == atomic[1]:
+            return label, own[1], own[0]
+    return label, unit, size
 
 
 def _other(results: Results) -> list[tuple[str, str, str, str]]:
     """Return rows for series that no figure shows: name, meaning, last value, unit."""
     rows = []
     for name, values in results.series.items():
-        if name not in SHOWN and len(values):
+        if not shown(name) and len(values):
             known = series_of(name)
             rows.append((name, known.description, f"{values[-1]:.4g}", results.units[name]))
     return rows

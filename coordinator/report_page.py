@@ -55,10 +55,13 @@ summary { cursor: pointer; }
 """
 
 _TOOLS = (
-    ("ParaView", "File, Open, results.h5, reader VTKHDF: material points (Å, ps, GPa)"),
+    ("ParaView", "File, Open, results.h5, reader VTKHDF: material points (single precision, units as attributes)"),
     ("MDAnalysis", 'u.load_new("results.h5", format="H5MD"): atoms (H5MD, nm, ps)'),
     ("Python", "coordinator.results.Results(path), or h5py: everything"),
 )
+
+#: Events that a page lists.
+_MOST_EVENTS = 20
 
 
 def page(
@@ -70,6 +73,7 @@ def page(
     facts: Sequence[tuple[str, str]],
     warnings: Sequence[str],
     sections: Sequence[tuple[str, str, Sequence[str]]],
+    events: Sequence[str],
     numbers: Sequence[tuple[str, str, str]],
     other: Sequence[tuple[str, str, str, str]],
     command: str,
@@ -86,6 +90,8 @@ def page(
     facts : sequence of (value, label)
     warnings : sequence of str
     sections : sequence of (title, sentence, figures as HTML)
+    events : sequence of str
+        In order; of many the first and the last are shown.
     numbers : sequence of (what, value, unit)
     other : sequence of (name, meaning, value, unit)
     command, scene_text : str
@@ -109,6 +115,10 @@ def page(
     for name, sentence, figures in sections:
         text = f"<p>{escape(sentence)}</p>" if sentence else "<p></p>"
         body.append(f'<section><h2>{escape(name)}</h2>{text}<div class="figures">{"".join(figures)}</div></section>')
+    if events:
+        shown = [*events[:_MOST_EVENTS], "...", events[-1]] if len(events) > _MOST_EVENTS + 1 else list(events)
+        items = "".join(f"<li>{escape(text)}</li>" for text in shown)
+        body.append(f"<h2>Events</h2><p>All {len(events)} are in results.h5.</p><ol>{items}</ol>")
     if numbers:
         body.append(f"<h2>Key numbers</h2><p></p>{_table(('', 'value', 'unit'), numbers, (1,))}")
     if other:

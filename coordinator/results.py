@@ -9,6 +9,7 @@ place in one move. Whoever opens the file, at any time, finds the whole state of
 ``/VTKHDF``         material points, VTKHDF (Angstrom, ps, GPa)
 ``/time_series``    one array a quantity, SI, with attributes `unit` and `description`
 ``/interface``      cells, anchors, overlap, and force and standard error of each cell, SI
+``/events``         what the continuum told of, one JSON object an event, SI
 ``/scene``          text, overrides, resolved values as JSON (SI)
 ``/versions``       version of every package that matters, as attributes
 ``/seeds``          seeds, as attributes
@@ -80,6 +81,7 @@ class ResultsWriter:
         self._ivc_rows: list[tuple[int, FloatArray, FloatArray]] = []
         self._atoms: list[h5md.AtomsFrame] = []
         self._points: list[vtkhdf.PointsFrame] = []
+        self._events: list[tuple[int, str]] = []
 
     @classmethod
     def resume(cls, path: str | Path, step: int) -> Self:
@@ -174,6 +176,10 @@ class ResultsWriter:
         arrays = [np.array(a, dtype=np.float64) for a in (position, displacement, velocity, stress, weight)]
         self._points.append(vtkhdf.PointsFrame(step, time, *arrays))
 
+    def event(self, step: int, event: dict[str, Any]) -> None:
+        """Add something that happened, plain values in SI; `step` is the coupling step that told of it."""
+        self._events.append((step, json.dumps(event, allow_nan=False)))
+
     def flush(self) -> None:
         """Commit all that was added since the last flush, or nothing."""
         temporary = self.path.with_name(self.path.name + ".tmp")
@@ -186,6 +192,7 @@ class ResultsWriter:
             _append_ivc_rows(file, self._ivc_rows)
             h5md.append(file, self._atoms)
             vtkhdf.append(file, self._points)
+            _append_events(file, self._events)
             file.attrs["status"] = self._status
         with temporary.open("rb+") as handle:
             os.fsync(handle.fileno())
@@ -193,7 +200,9 @@ class ResultsWriter:
         _sync_folder(self.path.parent)
         # Only now: an interrupt before the move leaves the old file and the whole buffer.
         self._exists = True
-        buffers: tuple[list[Any], ...] = (self._static, self._rows, self._ivc_rows, self._atoms, self._points)
+        buffers: tuple[list[Any], ...] = (
+            self._static, self._rows, self._ivc_rows, self._atoms, self._points, self._events,
+        )  # fmt: skip
         for buffer in buffers:
             buffer.clear()
 
@@ -227,6 +236,8 @@ class Results:
         As given to `ResultsWriter.interface`, and `step`, `force`, `error`; empty without interface.
     atoms : AtomsReader or None
     points : PointsReader or None
+    events : list of dict
+        What the continuum told of, in order; plain values in SI.
 
     Raises
     ------
@@ -262,6 +273,8 @@ class Results:
         self.interface: dict[str, Any] = {name: array[:] for name, array in file.get("interface", {}).items()}
         self.atoms = h5md.AtomsReader(file) if h5md.GROUP in file else None
         self.points = vtkhdf.PointsReader(file) if vtkhdf.GROUP in file else None
+        told = file["events/json"].asstr()[:] if "events" in file else []
+        self.events: list[dict[str, Any]] = [json.loads(text) for text in told]
 
     def __enter__(self) -> Self:
         return self
@@ -348,8 +361,26 @@ def _append_ivc_rows(file: h5py.File, rows: list[tuple[int, FloatArray, FloatArr
         group[name][start:] = np.array([row[column] for row in rows])
 
 
+def _append_events(file: h5py.File, events: list[tuple[int, str]]) -> None:
+    if not events:
+        return
+    if "events" not in file:
+        group = file.create_group("events")
+        group.create_dataset("step", shape=(0,), maxshape=(None,), dtype=np.int64, chunks=(_CHUNK,))
+        group.create_dataset("json", shape=(0,), maxshape=(None,), dtype=h5py.string_dtype(), chunks=(_CHUNK,))
+    group = file["events"]
+    start = len(group["step"])
+    for name, column in (("step", 0), ("json", 1)):
+        group[name].resize(start + len(events), axis=0)
+        group[name][start:] = [event[column] for event in events]
+
+
 def _truncate(file: h5py.File, step: int) -> None:
-    for group, names in ((file["time_series"], None), (file.get("interface"), ("step", "force", "error"))):
+    for group, names in (
+        (file["time_series"], None),
+        (file.get("interface"), ("step", "force", "error")),
+        (file.get("events"), None),
+    ):
         if group is not None:
             keep = int(np.searchsorted(group["step"][:], step, side="right"))
             for name in names or tuple(group):

@@ -15,11 +15,13 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from coordinator.checkpoint import CheckpointError, read_checkpoint, write_checkpoint
 from coordinator.coupling import Coupling, StepRecord
+from coordinator.display_units import units_of
 from coordinator.interruption import Interrupted, Interruption
 from coordinator.launcher import ServiceDied, Services
 from coordinator.output import RunOutput
 from coordinator.scene import Scene, load_scene
 from coordinator.summary import Status as SummaryStatus
+from coordinator.units import LENGTHS, readable
 from protocol.atomistic import Properties
 from protocol.backend import find
 from protocol.client import Client
@@ -296,7 +298,7 @@ class Run:
             if coupling.step % scene.run.output_every == 0 or ended:
                 output.frames(coupling)
             if ended:
-                output.note(f"the crack grew by {grown * 1e10:.1f} angstrom")
+                output.note(f"the crack grew by {readable(grown, LENGTHS, 4)}")
                 break
             if coupling.step % 10 == 0 or coupling.step == scene.run.steps:
                 show(_progress_text(coupling, record, scene))
@@ -385,7 +387,8 @@ def _progress(console: Console) -> Progress:
 
 def _progress_text(coupling: Coupling, record: StepRecord, scene: Scene) -> str:
     values = record.values
-    parts = [f"{coupling.step * scene.time_step * 1e12:.2f} ps"]
+    size, name = units_of(scene).time
+    parts = [f"{coupling.step * scene.time_step / size:.2f} {name}"]
     if "applied_strain" in values:
         parts.append(f"strain {values['applied_strain'] * 100:.2f} %")
     if "temperature" in values:

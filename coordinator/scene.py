@@ -12,19 +12,10 @@ from typing import Annotated, Any, Union, get_args, get_origin
 from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 
+from coordinator.continuum_tables import Continuum, Edge, Material
 from coordinator.scene_checks import Problem, cross_checks
-from coordinator.scene_tables import (
-    Atomistic,
-    Continuum,
-    Corners,
-    Crack,
-    Edge,
-    Handshake,
-    Material,
-    Run,
-    Scene,
-    snapped_overlap,
-)
+from coordinator.scene_tables import Atomistic, Crack, Handshake, Run, Scene, snapped_overlap
+from coordinator.table import Corners
 from coordinator.units import Quantity
 
 __all__ = [
@@ -164,13 +155,15 @@ def _validate(raw: dict[str, Any], si: bool = False) -> tuple[Scene | None, list
     return (None if problems else scene), problems
 
 
-def _tables(raw: dict[str, Any]) -> set[str]:
-    """Return the keys of the scene, and those of [continuum] with their prefix."""
-    continuum = raw.get("continuum")
-    inner = continuum.items() if isinstance(continuum, dict) else ()
-    return {key for key, value in raw.items() if value is not None} | {
-        f"continuum.{key}" for key, value in inner if value is not None
-    }
+def _tables(raw: Any, path: str = "") -> set[str]:
+    """Return the paths of everything that the file holds, readable or not."""
+    inner = raw.items() if isinstance(raw, dict) else enumerate(raw) if isinstance(raw, list) else ()
+    found: set[str] = set()
+    for key, value in inner:
+        if value is not None:
+            here = f"{path}.{key}" if path else str(key)
+            found |= {here} | _tables(value, here)
+    return found
 
 
 def _apply(raw: dict[str, Any], override: str) -> Path_:

@@ -9,14 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from coordinator.scene_tables import CELL_TOLERANCE, Point, snapped_overlap
-
-#: Path of the field, and what is allowed there.
-Problem = tuple[tuple[str | int, ...], str]
-
-_ANGSTROM = 1e-10
-#: Relative difference below which two edge velocities are the same.
-_SAME_VELOCITY = 1e-9
+from coordinator.continuum_checks import CELL_TOLERANCE, Problem, continuum_checks, known, length, whole
+from coordinator.scene_tables import snapped_overlap
 
 
 def cross_checks(scene: Any, tables: set[str]) -> list[Problem]:
@@ -27,27 +21,16 @@ def cross_checks(scene: Any, tables: set[str]) -> list[Problem]:
     scene : Scene or draft
         Values in SI; None where absent or unreadable.
     tables : set of str
-        Tables that the file holds, readable or not.
+        Paths of everything that the file holds, readable or not.
     """
     found = list(_which_tables(scene, tables))
     if scene.continuum is not None:
-        found += _body(scene.continuum)
-        found += _edges(scene.continuum)
-        if scene.continuum.initial_velocity == "follow_edges":
-            found += _follow_edges(scene.continuum)
+        found += continuum_checks(scene.continuum, tables)
     if scene.atomistic is not None and scene.handshake is not None:
         found += _handshake(scene)
     if scene.crack is not None:
         found += _crack(scene)
     return found
-
-
-def _known(*values: Any) -> bool:
-    return all(value is not None for value in values)
-
-
-def _angstrom(value: float) -> str:
-    return f"{value / _ANGSTROM:.6g} angstrom"
 
 
 def _which_tables(scene: Any, tables: set[str]) -> Iterator[Problem]:
@@ -65,106 +48,25 @@ def _which_tables(scene: Any, tables: set[str]) -> Iterator[Problem]:
             yield ("continuum", "time_step"), "is missing; a scene without [atomistic] needs it"
         if not coupled and "continuum.material" not in tables:
             yield ("continuum", "material"), "is missing; a scene without [atomistic] needs this table"
+        material = scene.continuum.material
+        if coupled and material is not None and material.law == "orthotropic":
+            yield (
+                ("continuum", "material", "law"),
+                "must have one Young's modulus with [atomistic]: the theory of the handshake needs it",
+            )
     run = scene.run
     if run is not None and run.stop_after_crack_growth is not None and not {"atomistic", "crack"} <= tables:
-        yield ("run", "stop_after_crack_growth"), "must be left out unless there are [atomistic] and [crack]"
-
-
-def _whole(cells: float) -> bool:
-    return round(cells) >= 1 and abs(cells - round(cells)) <= CELL_TOLERANCE * max(1.0, abs(cells))
-
-
-def _body(continuum: Any) -> Iterator[Problem]:
-    lower, upper, cell = continuum.lower, continuum.upper, continuum.cell_size
-    if not _known(lower, upper):
-        return
-    for axis, letter in enumerate("xy"):
-        extent = upper[axis] - lower[axis]
-        where = ("continuum", "upper", axis)
-        if extent <= 0.0:
-            yield where, f"must be greater than continuum.lower in {letter}, {_angstrom(lower[axis])}"
-        elif _known(cell) and not _whole(extent / cell):
-            nearest = max(1, round(extent / cell))
-            yield (
-                where,
-                (
-                    f"the body is {extent / cell:.6g} cells of {_angstrom(cell)} along {letter}, must be a whole"
-                    f" number; nearest: {_angstrom(lower[axis] + nearest * cell)}"
-                ),
-            )
-
-
-def _edges(continuum: Any) -> Iterator[Problem]:
-    seen: dict[tuple[str, str], int] = {}
-    for index, edge in enumerate(continuum.edges or []):
-        where = ("continuum", "edges", index)
-        if _known(edge.edge, edge.component):
-            first = seen.setdefault((edge.edge, edge.component), index)
-            if first != index:
-                yield where, f"{edge.edge} {edge.component} is prescribed already by continuum.edges.{first}"
-        times, displacements = edge.times, edge.displacements
-        if times is not None:
-            if times[0] != 0.0:
-                yield (*where, "times", 0), "must be 0: the tables begin with the run"
-            for later in range(1, len(times)):
-                if times[later] <= times[later - 1]:
-                    yield (*where, "times", later), "must be later than the time before it"
-        if displacements is not None and displacements[0] != 0.0:
-            yield (*where, "displacements", 0), "must be 0: the body starts undeformed"
-        if _known(times, displacements) and len(times) != len(displacements):
-            yield (*where, "displacements"), f"has {len(displacements)} values, must have {len(times)} as times has"
-
-
-def _follow_edges(continuum: Any) -> Iterator[Problem]:
-    """Check that a gradient times position gives the first velocity of every edge."""
-    where = ("continuum", "initial_velocity")
-    edges = continuum.edges
-    if not edges:
-        yield where, "follow_edges needs continuum.edges to follow"
-        return
-    if not _known(continuum.lower, continuum.upper) or not all(
-        _known(edge.edge, edge.component, edge.times, edge.displacements)
-        and len(edge.times) == len(edge.displacements)
-        and edge.times[1] > edge.times[0]
-        for edge in edges
-    ):
-        return
-    for axis, letter in enumerate("xy"):
-        rates: dict[int, list[tuple[str, float]]] = {0: [], 1: []}
-        for edge in (edge for edge in edges if edge.axis == axis):
-            corner: Point = (continuum.lower, continuum.upper)[edge.edge in ("right", "top")]
-            place = corner[edge.normal_axis]
-            if place == 0.0:
-                if edge.first_velocity != 0.0:
-                    yield where, f"follow_edges cannot move the {edge.edge} edge: it lies on the origin's line"
-                continue
-            rates[edge.normal_axis].append((edge.edge, edge.first_velocity / place))
-        for pair in rates.values():
-            if len(pair) == 2 and abs(pair[0][1] - pair[1][1]) > _SAME_VELOCITY * max(abs(r) for _, r in pair):
-                yield (
-                    where,
-                    (
-                        f"follow_edges needs one {letter} velocity gradient, but {pair[0][0]} gives {pair[0][1]:.6g}"
-                        f" 1/s and {pair[1][0]} {pair[1][1]:.6g} 1/s"
-                    ),
-                )
-        for normal, other in ((0, 1), (1, 0)):
-            moving = [name for name, rate in rates[normal] if rate != 0.0]
-            if moving and rates[other]:
-                yield (
-                    where,
-                    (
-                        f"follow_edges: the {letter} velocity of {moving[0]} varies along {rates[other][0][0]},"
-                        f" which prescribes one value of {letter}"
-                    ),
-                )
+        cracks = scene.continuum.cracks if scene.continuum is not None else []
+        if not any(crack.growth for crack in cracks or []):
+            allowed = "must be left out unless there are [atomistic] and [crack], or a crack of the continuum grows"
+            yield ("run", "stop_after_crack_growth"), allowed
 
 
 def _handshake(scene: Any) -> Iterator[Problem]:
     atoms, handshake, continuum = scene.atomistic, scene.handshake, scene.continuum
     width = handshake.width
     step, reference = atoms.time_step, atoms.reference
-    if _known(step, reference, handshake.steps_per_exchange) and reference < step * handshake.steps_per_exchange:
+    if known(step, reference, handshake.steps_per_exchange) and reference < step * handshake.steps_per_exchange:
         yield (
             ("atomistic", "reference"),
             (
@@ -172,26 +74,23 @@ def _handshake(scene: Any) -> Iterator[Problem]:
                 f" = {step * handshake.steps_per_exchange / 1e-15:.6g} fs"
             ),
         )
-    if _known(width, handshake.ivc_size) and handshake.ivc_size > width * (1 + CELL_TOLERANCE):
-        yield ("handshake", "ivc_size"), f"must not be larger than handshake.width, {_angstrom(width)}"
-    if continuum is None or not _known(continuum.cell_size):
+    if known(width, handshake.ivc_size) and handshake.ivc_size > width * (1 + CELL_TOLERANCE):
+        yield ("handshake", "ivc_size"), f"must not be larger than handshake.width, {length(width)}"
+    if continuum is None or not known(continuum.cell_size):
         return
     cell = continuum.cell_size
-    if _known(handshake.ivc_size) and handshake.ivc_size < cell * (1 - CELL_TOLERANCE):
-        yield ("handshake", "ivc_size"), f"must not be smaller than continuum.cell_size, {_angstrom(cell)}"
-    if not _known(width):
+    if known(handshake.ivc_size) and handshake.ivc_size < cell * (1 - CELL_TOLERANCE):
+        yield ("handshake", "ivc_size"), f"must not be smaller than continuum.cell_size, {length(cell)}"
+    if not known(width):
         return
-    if not _whole(width / cell):
+    if not whole(width / cell):
         nearest = max(1, round(width / cell)) * cell
         yield (
             ("handshake", "width"),
-            (
-                f"is {width / cell:.6g} cells of {_angstrom(cell)}, must be a whole number;"
-                f" nearest: {_angstrom(nearest)}"
-            ),
+            (f"is {width / cell:.6g} cells of {length(cell)}, must be a whole number; nearest: {length(nearest)}"),
         )
         return
-    if not _known(continuum.lower, atoms.width, atoms.height):
+    if not known(continuum.lower, atoms.width, atoms.height):
         return
     inner, outer = snapped_overlap(continuum.lower, cell, atoms.width, atoms.height, width)
     for axis, name in ((0, "width"), (1, "height")):
@@ -200,7 +99,7 @@ def _handshake(scene: Any) -> Iterator[Problem]:
                 ("handshake", "width"),
                 (
                     f"must be narrower than half the sheet: nothing is left inside it along atomistic.{name},"
-                    f" {_angstrom(getattr(atoms, name))}"
+                    f" {length(getattr(atoms, name))}"
                 ),
             )
         if continuum.upper is None:
@@ -210,9 +109,9 @@ def _handshake(scene: Any) -> Iterator[Problem]:
             yield (
                 ("atomistic", name),
                 (
-                    f"the sheet takes {_angstrom(outer[0][axis])} to {_angstrom(outer[1][axis])} on the grid, must lie"
-                    f" at least one cell inside the body, {_angstrom(continuum.lower[axis])} to"
-                    f" {_angstrom(continuum.upper[axis])}"
+                    f"the sheet takes {length(outer[0][axis])} to {length(outer[1][axis])} on the grid, must lie"
+                    f" at least one cell inside the body, {length(continuum.lower[axis])} to"
+                    f" {length(continuum.upper[axis])}"
                 ),
             )
 
@@ -220,17 +119,17 @@ def _handshake(scene: Any) -> Iterator[Problem]:
 def _crack(scene: Any) -> Iterator[Problem]:
     """The crack lies in the body; with atoms, its tip is where there are atoms only."""
     continuum, atoms, handshake, crack = scene.continuum, scene.atomistic, scene.handshake, scene.crack
-    if continuum is None or not _known(continuum.lower, continuum.upper):
+    if continuum is None or not known(continuum.lower, continuum.upper):
         return
     corners, region = (continuum.lower, continuum.upper), "the body"
     if (
         atoms is not None
         and handshake is not None
-        and _known(continuum.cell_size, atoms.width, atoms.height, handshake.width)
+        and known(continuum.cell_size, atoms.width, atoms.height, handshake.width)
     ):
         corners, _ = snapped_overlap(continuum.lower, continuum.cell_size, atoms.width, atoms.height, handshake.width)
         region = "the sheet inside its handshake"
     for axis, (name, value) in enumerate((("tip_x", crack.tip_x), ("y", crack.y))):
         low, high = corners[0][axis], corners[1][axis]
         if low < high and value is not None and not low < value < high:
-            yield ("crack", name), f"must lie inside {region}, {_angstrom(low)} to {_angstrom(high)}"
+            yield ("crack", name), f"must lie inside {region}, {length(low)} to {length(high)}"

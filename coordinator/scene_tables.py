@@ -4,35 +4,13 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
+from pydantic import Field, PrivateAttr
 
-from coordinator.units import (
-    Length,
-    PositiveDensity,
-    PositiveLength,
-    PositivePressure,
-    PositiveStiffness,
-    PositiveTime,
-    Rate,
-    Temperature,
-    Time,
-)
+from coordinator.continuum_tables import Continuum
+from coordinator.table import Corners, Count, Name, Point, Table
+from coordinator.units import Length, PositiveLength, PositiveStiffness, PositiveTime, Temperature, Time
 
-#: Part of a cell by which a length may miss a whole number of cells.
-CELL_TOLERANCE = 1e-6
-
-Count = Annotated[int, Field(strict=True, gt=0)]
 Seed = Annotated[int, Field(strict=True, ge=0, lt=2**31)]
-Name = Annotated[str, Field(strict=True, min_length=1)]
-Point = tuple[float, float]
-#: Lower and upper corner of an axis-parallel rectangle, m.
-Corners = tuple[Point, Point]
-
-
-class Table(BaseModel):
-    """A table of the scene file; unknown keys are errors."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Run(Table):
@@ -43,70 +21,8 @@ class Run(Table):
     checkpoint_every: Count = Field(default=100, description="steps between checkpoints")
     seed: Seed = 1
     stop_after_crack_growth: PositiveLength | None = Field(
-        default=None, description="the run ends when the atoms' crack tip has moved so far, m"
+        default=None, description="the run ends when a crack tip has moved so far, m"
     )
-
-
-class Material(Table):
-    """Linear elastic, isotropic."""
-
-    young: PositivePressure = Field(description="Young's modulus, Pa")
-    poisson: Annotated[float, Field(strict=True, gt=-1, lt=0.5)]
-    density: PositiveDensity = Field(description="kg/m3")
-    thickness: PositiveLength = Field(description="m")
-
-
-class Edge(Table):
-    """Prescribed displacement of one edge of the body, piecewise linear in time."""
-
-    edge: Literal["left", "right", "bottom", "top"]
-    component: Literal["x", "y"]
-    times: list[Time] = Field(min_length=2, description="s, ascending; constant after the last")
-    displacements: list[Length] = Field(min_length=2, description="m")
-
-    @property
-    def axis(self) -> int:
-        """Component as an index: 0 is x, 1 is y."""
-        return "xy".index(self.component)
-
-    @property
-    def normal_axis(self) -> int:
-        """Axis of the edge's normal."""
-        return 0 if self.edge in ("left", "right") else 1
-
-    @property
-    def first_velocity(self) -> float:
-        """Velocity of the edge at the start, m/s."""
-        return (self.displacements[1] - self.displacements[0]) / (self.times[1] - self.times[0])
-
-
-class Continuum(Table):
-    """The continuum, its grid and its edges."""
-
-    backend: Name = "mpm_service"
-    assumption: Literal["plane_stress", "plane_strain"]
-    lower: tuple[Length, Length] = Field(description="lower left corner of the body, m")
-    upper: tuple[Length, Length] = Field(description="upper right corner of the body, m")
-    cell_size: PositiveLength = Field(description="edge of a background cell, m")
-    points_per_cell: Count = Field(default=2, description="material points per cell and direction")
-    damping_rate: Rate = Field(default=0.0, description="mass-proportional damping, 1/s")
-    initial_velocity: Literal["rest", "follow_edges"] = "rest"
-    time_step: PositiveTime | None = Field(
-        default=None, description="s; only without [atomistic], else steps_per_exchange times its time step"
-    )
-    material: Material | None = Field(default=None, description="absent: measured by the atomistic service")
-    edges: list[Edge] = Field(default=[], description="prescribed displacements")
-
-    def initial_velocity_gradient(self) -> tuple[float, float, float, float] | None:
-        """Velocity gradient (xx, xy, yx, yy), 1/s, that starts the body with its edges; None from rest."""
-        if self.initial_velocity == "rest":
-            return None
-        gradient = [0.0] * 4
-        for edge in self.edges:
-            place = (self.lower, self.upper)[edge.edge in ("right", "top")][edge.normal_axis]
-            if place != 0.0:
-                gradient[2 * edge.axis + edge.normal_axis] = edge.first_velocity / place
-        return gradient[0], gradient[1], gradient[2], gradient[3]
 
 
 class Atomistic(Table):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 
@@ -28,6 +29,8 @@ SERIES: dict[str, Series] = {
     "continuum_edge_work": Series("J", "work done on the continuum by its edges"),
     "continuum_interface_work": Series("J", "work done on the continuum by the atoms"),
     "continuum_damping_loss": Series("J", "energy taken from the continuum by damping"),
+    "continuum_load_work": Series("J", "work done on the continuum by tractions, body force and absorbing edges"),
+    "continuum_dissipated": Series("J", "energy taken by plastic flow and friction"),
     "atomistic_potential": Series("J", "potential energy of the atoms against the start"),
     "atomistic_kinetic": Series("J", "kinetic energy of the atoms"),
     "spring_energy": Series("J", "energy in the anchor springs"),
@@ -53,6 +56,23 @@ SERIES: dict[str, Series] = {
 }
 
 
+#: What is known of a crack tip in the continuum, beside its place x, y; keys are fields of `CrackTip`.
+TIP_SERIES: dict[str, Series] = {
+    "length": Series("m", "length of the crack"),
+    "j": Series("J/m^2", "dynamic J-integral"),
+    "k_1": Series("Pa m^0.5", "stress intensity, opening"),
+    "k_2": Series("Pa m^0.5", "stress intensity, sliding"),
+    "g_1": Series("J/m^2", "energy release rate by crack closure, opening"),
+    "g_2": Series("J/m^2", "energy release rate by crack closure, sliding"),
+    "hoop_stress": Series("Pa", "hoop stress ahead of the tip"),
+}
+_PLACES = {"x": Series("m", "x of the crack tip"), "y": Series("m", "y of the crack tip")}
+
+
 def series_of(name: str) -> Series:
     """Return what is known of a series; an unknown one has no unit and no description."""
+    tip = re.fullmatch(r"tip_(\d+)_([01])_(\w+)", name)
+    if tip is not None:
+        known = {**_PLACES, **TIP_SERIES}.get(tip[3], Series("", ""))
+        return Series(known.unit, f"{known.description}, crack {tip[1]}, {('first', 'last')[int(tip[2])]} end")
     return SERIES.get(name, Series("", ""))

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from coordinator.display_units import ANGSTROM, ELECTRONVOLT, NANONEWTON, units_of
 from coordinator.figures import (
-    ANGSTROM,
     BLUE,
-    ELECTRONVOLT,
     GREEN,
     INK,
-    NANONEWTON,
     ORANGE,
     PALE,
-    PICOSECOND,
     PURPLE,
     RED,
     SKY,
@@ -40,12 +38,21 @@ _SMOOTHING = 0.03
 SHOWN = frozenset(
     {
         "time", "continuum_kinetic", "continuum_strain", "continuum_edge_work", "continuum_interface_work",
-        "continuum_damping_loss", "atomistic_potential", "atomistic_kinetic", "spring_energy", "anchor_work",
-        "temperature", "handshake_temperature", "force_sum_x", "force_sum_y", "force_balance", "ivc_error_rms",
-        "ivc_force_rms", "applied_strain", "edge_force", "j_boundary", "crack_tip", "broken_bonds", "longest_bond",
-        "seconds_continuum", "seconds_atomistic", "seconds_exchange",
+        "continuum_damping_loss", "continuum_load_work", "continuum_dissipated", "atomistic_potential",
+        "atomistic_kinetic", "spring_energy", "anchor_work", "temperature", "handshake_temperature", "force_sum_x",
+        "force_sum_y", "force_balance", "ivc_error_rms", "ivc_force_rms", "applied_strain", "edge_force",
+        "j_boundary", "crack_tip", "broken_bonds", "longest_bond", "seconds_continuum", "seconds_atomistic",
+        "seconds_exchange",
     }
 )  # fmt: skip
+
+#: Energies that are drawn only where there are some.
+_OFTEN_ABSENT = ("continuum_load_work", "continuum_interface_work", "continuum_dissipated")
+
+
+def shown(name: str) -> bool:
+    """Return whether some figure shows a series."""
+    return name in SHOWN or re.fullmatch(r"tip_\d+_[01]_(j|k_1|k_2|length)", name) is not None
 
 
 class Curves:
@@ -55,16 +62,28 @@ class Curves:
     ----------
     results : Results
         At least two rows.
+    scene : Scene
+        Its scale decides the units.
     """
 
-    def __init__(self, results: Results) -> None:
+    def __init__(self, results: Results, scene: Scene) -> None:
         self._series = results.series
         self._every = max(1, len(results.step) // _MOST_POINTS)
-        self.time: FloatArray = self._series["time"] / PICOSECOND
+        self.units = units_of(scene)
+        self.time: FloatArray = self._series["time"] / self.units.time[0]
+        self.time_label = f"time ({self.units.time[1]})"
 
     def has(self, *names: str) -> bool:
         """Whether any of the series is there with a finite value."""
         return any(name in self._series and np.isfinite(self._series[name]).any() for name in names)
+
+    def acts(self, name: str) -> bool:
+        """Whether the series is there and not zero throughout."""
+        return self.has(name) and bool(np.nanmax(np.abs(self._series[name])) > 0)
+
+    def tips(self) -> list[str]:
+        """Return the names of the continuum's crack tips, as their series begin."""
+        return sorted({name[: -len("length")] for name in self._series if re.fullmatch(r"tip_\d+_[01]_length", name)})
 
     def get(self, name: str, unit: float = 1.0) -> FloatArray:
         """Return a series in multiples of `unit`."""
@@ -96,10 +115,11 @@ def series_pictures(results: Results, scene: Scene, summary: Summary | None) -> 
     """Draw all groups of curves that the run has series for."""
     found: list[Picture | None] = []
     if len(results.step) >= 2 and "time" in results.series:
-        curves = Curves(results)
+        curves = Curves(results, scene)
         found = [
             _load(curves, scene),
             _crack(curves, scene),
+            _tips(curves, scene),
             _energies(curves),
             _temperatures(curves, scene),
             _interface(curves),
@@ -123,8 +143,8 @@ def _load(curves: Curves, scene: Scene) -> Picture | None:
     figure, axes = panels(2, 3.4)
     curves.draw(axes[0], "applied_strain", "applied strain", BLUE, 0.01)
     axes[0].set_ylabel("applied strain (%)")
-    curves.draw(axes[1], "edge_force", "force", BLUE, NANONEWTON)
-    axes[1].set(ylabel="force of top edge (nN)", xlabel="time (ps)")
+    curves.draw(axes[1], "edge_force", "force", BLUE, curves.units.force[0])
+    axes[1].set(ylabel=f"force of top edge ({curves.units.force[1]})", xlabel=curves.time_label)
     return picture(figure, "Load", "Strain that the edges apply, and the force of the top edge on the body.")
 
 
@@ -140,7 +160,7 @@ def _crack(curves: Curves, scene: Scene) -> Picture | None:
         curves.line(axes[1], tip - first, "tip", RED)
     axes[1].set_ylabel("tip advance (Å)")
     curves.draw(axes[2], "broken_bonds", "broken bonds", RED)
-    axes[2].set(ylabel="broken bonds", xlabel="time (ps)")
+    axes[2].set(ylabel="broken bonds", xlabel=curves.time_label)
     if curves.has("broken_bonds"):
         broken = curves.get("broken_bonds")
         more = np.flatnonzero(broken > broken[np.isfinite(broken)][0])
@@ -149,6 +169,35 @@ def _crack(curves: Curves, scene: Scene) -> Picture | None:
                 panel.axvline(curves.time[more[0]], color=PALE, linewidth=0.9, linestyle="--")
     caption = "J is estimated from the displacement of the edges (long strip). Dashed: the first bond breaks."
     return picture(figure, "Crack", caption)
+
+
+def _tips(curves: Curves, scene: Scene) -> Picture | None:
+    """Draw J, stress intensities and length of the continuum's cracks that were measured."""
+    tips = [tip for tip in curves.tips() if curves.has(tip + "j")]
+    if not tips:
+        return None
+    figure, axes = panels(3, 5.2)
+    colours = (BLUE, ORANGE, GREEN, PURPLE, SKY, RED)
+    for number, tip in enumerate(tips):
+        colour = colours[number % len(colours)]
+        _, crack, end, _ = tip.split("_")
+        label = f"crack {crack}, {('first', 'last')[int(end)]} end"
+        curves.draw(axes[0], tip + "j", label, colour)
+        curves.draw(axes[1], tip + "k_1", "_", colour, 1e6)
+        curves.draw(axes[1], tip + "k_2", "_", colour, 1e6, "--")
+        length = curves.get(tip + "length", curves.units.length[0])
+        curves.line(axes[2], length - length[np.isfinite(length)][0], "_", colour)
+    critical = {crack.growth.critical_energy_release_rate for crack in scene.continuum.cracks if crack.growth}
+    for value in critical:
+        axes[0].axhline(value, color=INK, linewidth=0.9, linestyle=":")
+    axes[0].set_ylabel("J (J/m²)")
+    axes[1].set_ylabel("K (MPa m$^{1/2}$)")
+    axes[2].set(ylabel=f"growth ({curves.units.length[1]})", xlabel=curves.time_label)
+    _legend(axes[0])
+    caption = "Dynamic J-integral around each tip; stress intensities, opening solid and sliding dashed; growth."
+    if critical:
+        caption += " Dotted: the energy release rate at which cracks grow."
+    return picture(figure, "Crack tips in the continuum", caption)
 
 
 def _energies(curves: Curves) -> Picture | None:
@@ -160,11 +209,17 @@ def _energies(curves: Curves) -> Picture | None:
         ("continuum_strain", "strain energy", BLUE, "-"),
         ("continuum_kinetic", "kinetic energy", SKY, "-"),
         ("continuum_edge_work", "work of edges", INK, "--"),
+        ("continuum_load_work", "work of loads", GREEN, "--"),
         ("continuum_interface_work", "work of atoms", ORANGE, "--"),
         ("continuum_damping_loss", "damping loss", PURPLE, ":"),
+        ("continuum_dissipated", "plastic flow, friction", RED, ":"),
     ):
-        curves.draw(axes[0], name, label, colour, ELECTRONVOLT, dash)
-    axes[0].set_ylabel("continuum (eV)")
+        if name in ("continuum_load_work", "continuum_interface_work", "continuum_dissipated") and not curves.acts(
+            name
+        ):
+            continue
+        curves.draw(axes[0], name, label, colour, curves.units.energy[0], dash)
+    axes[0].set_ylabel(f"continuum ({curves.units.energy[1]})")
     _legend(axes[0])
     if atoms:
         curves.draw(axes[1], "atomistic_potential", "potential, change", RED, ELECTRONVOLT)
@@ -175,7 +230,7 @@ def _energies(curves: Curves) -> Picture | None:
         curves.draw(axes[1], "anchor_work", "work of anchors", INK, ELECTRONVOLT, "--")
         axes[1].set_ylabel("atoms (eV)")
         _legend(axes[1])
-    axes[-1].set_xlabel("time (ps)")
+    axes[-1].set_xlabel(curves.time_label)
     caption = "Solid lines are energies held, dashed lines work done since the start."
     return picture(figure, "Energies", caption)
 
@@ -192,7 +247,7 @@ def _temperatures(curves: Curves, scene: Scene) -> Picture | None:
             curves.line(axes, curves.get(name), "_", colour, alpha=0.28, linewidth=0.7)
             curves.line(axes, curves.smooth(name), label, colour)
     axes.axhline(scene.atomistic.temperature, color=INK, linewidth=0.9, linestyle="--", label="asked")
-    axes.set(xlabel="time (ps)", ylabel="temperature (K)")
+    axes.set(xlabel=curves.time_label, ylabel="temperature (K)")
     _legend(axes)
     return picture(figure, "Temperature", "Thin lines are single steps, thick lines their running mean.")
 
@@ -211,7 +266,7 @@ def _interface(curves: Curves) -> Picture | None:
             # An exact balance has no place on a logarithmic axis.
             curves.line(axes[1], np.where(balance > 0, balance, np.nan), "imbalance", RED)
             axes[1].set_yscale("log")
-    axes[1].set(ylabel="relative imbalance", xlabel="time (ps)")
+    axes[1].set(ylabel="relative imbalance", xlabel=curves.time_label)
     caption = (
         "Sum of all interface forces on the continuum, and the difference between the sums over cells and over"
         " anchors, relative to the forces: what is lost in the exchange."
@@ -231,7 +286,7 @@ def _errors(curves: Curves) -> Picture | None:
             value = curves.get(name, NANONEWTON)
             curves.line(axes, np.where(value > 0, value, np.nan), label, colour)
     axes.set_yscale("log")
-    axes.set(xlabel="time (ps)", ylabel="root mean square (nN)")
+    axes.set(xlabel=curves.time_label, ylabel="root mean square (nN)")
     _legend(axes)
     caption = "Where the lines meet, thermal noise is as large as what the atoms tell the continuum in one exchange."
     return picture(figure, "Interface force and its statistical error", caption)
@@ -249,7 +304,7 @@ def _seconds(curves: Curves) -> Picture | None:
     figure, (axes,) = panels(1, 2.4)
     values = [np.nan_to_num(curves.smooth(name, 1e-3)) for name, _, _ in present]
     axes.stackplot(curves.time, values, labels=[label for _, label, _ in present], colors=[c for _, _, c in present])
-    axes.set(xlabel="time (ps)", ylabel="wall time a step (ms)")
+    axes.set(xlabel=curves.time_label, ylabel="wall time a step (ms)")
     axes.margins(x=0)
     _legend(axes)
     return picture(figure, "Wall time of a coupling step", "Running mean, stacked.")

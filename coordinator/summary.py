@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -47,6 +48,9 @@ class Summary(BaseModel):
     measures: dict[str, float | None]
     units: dict[str, str]
     warnings: list[str]
+    events: list[dict[str, Any]] = Field(
+        default=[], description="what the continuum told of: growth and arrest of cracks, lost points; SI"
+    )
     versions: dict[str, str]
     seeds: dict[str, int]
     command: str
@@ -115,7 +119,9 @@ def measures_of(results: Results) -> tuple[dict[str, float | None], dict[str, st
         array = clean(name)
         add(f"{name}_end", series_of(name).unit, None if array is None else array[-1])
     tip = clean("crack_tip")
-    add("crack_growth", "m", None if tip is None else tip[-1] - tip[0])
+    lengths = [clean(name) for name in series if re.fullmatch(r"tip_\d+_[01]_length", name)]
+    grown = [length[-1] - length[0] for length in lengths if length is not None]
+    add("crack_growth", "m", max(grown, default=None) if tip is None else tip[-1] - tip[0])
     error, force = clean("ivc_error_rms"), clean("ivc_force_rms")
     add("ivc_error_rms_mean", "N", None if error is None else error.mean())
     ratio = None if error is None or force is None or force.mean() == 0 else error.mean() / force.mean()
@@ -133,10 +139,16 @@ def measures_of(results: Results) -> tuple[dict[str, float | None], dict[str, st
 def energy_drift(series: dict[str, Any]) -> tuple[float | None, float]:
     """Return the energy that the continuum gained without work, at the end, and the largest energy passed, J.
 
-    Gained is (kinetic + strain + damping loss) - (work of edges + work of the interface), against the start.
+    Gained is (kinetic + strain + what damping, plastic flow and friction took) - (work of edges,
+    of the interface and of loads), against the start.
     """
-    names = ("continuum_kinetic", "continuum_strain", "continuum_damping_loss")
-    works = ("continuum_edge_work", "continuum_interface_work")
+    names = (
+        "continuum_kinetic",
+        "continuum_strain",
+        "continuum_damping_loss",
+        "continuum_dissipated",
+    )
+    works = ("continuum_edge_work", "continuum_interface_work", "continuum_load_work")
     if not all(name in series for name in (*names[:2], works[0])):
         return None, 0.0
     zero = 0.0 * series[names[0]]

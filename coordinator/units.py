@@ -23,6 +23,10 @@ DIMENSIONS: dict[str, tuple[str, str]] = {
     "stiffness": ("N/m", "20 eV/angstrom^2"),
     "rate": ("1/s", "0.1 1/ps"),
     "density": ("kg/m^3", "2.2 g/cm^3"),
+    "velocity": ("m/s", "10 m/s"),
+    "acceleration": ("m/s^2", "-9.81 m/s^2"),
+    "angle": ("rad", "30 degree"),
+    "energy per area": ("J/m^2", "10 J/m^2"),
 }
 
 _NUMBER_AND_UNIT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
@@ -141,3 +145,25 @@ PositivePressure = Annotated[float, Quantity("pressure", "positive")]
 PositiveStiffness = Annotated[float, Quantity("stiffness", "positive")]
 Rate = Annotated[float, Quantity("rate", "zero")]
 PositiveDensity = Annotated[float, Quantity("density", "positive")]
+PositiveEnergyPerArea = Annotated[float, Quantity("energy per area", "positive")]
+Pressure = Annotated[float, Quantity("pressure")]
+ZeroPressure = Annotated[float, Quantity("pressure", "zero")]
+Velocity = Annotated[float, Quantity("velocity")]
+Acceleration = Annotated[float, Quantity("acceleration")]
+Angle = Annotated[float, Quantity("angle")]
+
+#: Units of length and time in which people read numbers, finest first: SI size and name.
+LENGTHS = ((1e-10, "angstrom"), (1e-6, "um"), (1e-3, "mm"), (1.0, "m"))
+TIMES = ((1e-15, "fs"), (1e-12, "ps"), (1e-9, "ns"), (1e-6, "us"), (1e-3, "ms"), (1.0, "s"))
+
+
+def readable_unit(size: float, units: tuple[tuple[float, str], ...]) -> tuple[float, str]:
+    """Return the coarsest unit, its SI size and name, of which `size` is at least one; else the finest."""
+    fitting = [unit for unit in units if abs(size) >= unit[0] * (1 - 1e-9)]
+    return fitting[-1] if fitting else units[0]
+
+
+def readable(value: float, units: tuple[tuple[float, str], ...], digits: int = 6) -> str:
+    """Return a value in SI with the unit in which people read it."""
+    size, name = readable_unit(value, units) if value else units[-1]
+    return f"{value / size:.{digits}g} {name}"

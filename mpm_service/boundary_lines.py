@@ -17,6 +17,16 @@ so a point at the face sees the gradient of its neighbours inside (for s = 0: th
 rule, which makes the constraint do no work of its own. The same rule completes a quadratic B-spline or a
 linear basis at the face, since all of them reproduce a velocity that is linear over the nodes.
 
+A B-spline reaches one and a half cells, so the face cuts that of ``f`` even where it lies on a node, and ``p_f/m_f``
+is the velocity of a place further inside than ``f``. With B-splines the free node takes its velocity from the momenta
+of its line by the transposed rule too, as its acceleration from the forces,
+
+    v_f = (m_f v_f + sum_k r_k m_k (v_k - (1 - r_k) v_b)) / (m_f + sum_k r_k^2 m_k),
+
+which leaves velocities on the straight line as they are. The functions of linear, uGIMP and cpGIMP grids are cut where
+the face is off a node only. There the sum halves errors of uGIMP but makes those of cpGIMP a hundredfold, so they all
+keep ``p_f/m_f``.
+
 A face is the set of grid lines across it, so the plane and space differ in the number of lines only.
 """
 
@@ -88,14 +98,15 @@ class Lines(NamedTuple):
     """Mass that moves with it [kg]."""
     carried: FloatArray
     """Momentum that a jump of the prescribed velocity takes from it [kg m/s]."""
+    brought: FloatArray
+    """Its momentum with what its lines bring to it [kg m/s]."""
 
 
 def no_lines(capacity: int) -> Lines:
     condition, free, length, leader = (np.zeros(capacity, dtype=np.int64) for _ in range(4))
     node = np.zeros((capacity, _OUTWARD_NODES), dtype=np.int64)
     ratio = np.zeros((capacity, _OUTWARD_NODES))
-    force, inertia, carried = (np.zeros(capacity) for _ in range(3))
-    return Lines(condition, free, length, leader, node, ratio, force, inertia, carried)
+    return Lines(condition, free, length, leader, node, ratio, *(np.zeros(capacity) for _ in range(4)))
 
 
 @njit(cache=True, nogil=True)
@@ -165,6 +176,9 @@ def draw_lines(
                 corner = False
                 for q in range(axis.size):
                     other = axis[q]
+                    if other == across and sign[q] != step and component[q] == comp:
+                        # The opposite face of a body two cells wide has the same free node.
+                        corner = corner or nearest[q] - sign[q] == inner
                     if other >= 0 and other != across and component[q] == comp:
                         outside = sign[q] * (index[other] - nearest[q])
                         shared = shared or outside >= 0
@@ -232,6 +246,7 @@ def accelerate_lines(
     motion: FloatArray,
     time_step: float,
     keep: float,
+    splines: bool,
     reaction: FloatArray,
 ) -> tuple[float, float]:
     """Momentum equation of the constrained and the free nodes, with reactions; returns work and loss kept."""
@@ -249,12 +264,14 @@ def accelerate_lines(
             lines.force[i] = momentum[free, pull]
             lines.inertia[i] = momentum[free, 0]
             lines.carried[i] = 0.0
+            lines.brought[i] = momentum[free, 1 + component[k]]
         for c in range(lines.length[i]):
             r = lines.ratio[i, c]
             mass = momentum[lines.node[i, c], 0]
             lines.force[leader] += r * momentum[lines.node[i, c], pull]
             lines.inertia[leader] += r * r * mass
             lines.carried[leader] += r * (1.0 - r) * mass * (after[k] - before[k])
+            lines.brought[leader] += r * (momentum[lines.node[i, c], 1 + component[k]] - (1.0 - r) * mass * before[k])
     for i in range(made):
         k = lines.condition[i]
         free = lines.free[i]
@@ -264,7 +281,10 @@ def accelerate_lines(
         new_free = after[k]
         if free >= 0:
             leader = lines.leader[i]
-            old_free = momentum[free, 1 + comp] / momentum[free, 0]
+            if splines:
+                old_free = lines.brought[leader] / lines.inertia[leader]
+            else:
+                old_free = momentum[free, 1 + comp] / momentum[free, 0]
             gain = (time_step * lines.force[leader] - lines.carried[leader]) / lines.inertia[leader]
             new_free = keep * (old_free + gain)
             motion[free, comp] = new_free
@@ -286,8 +306,44 @@ def accelerate_lines(
 
 
 @njit(cache=True, nogil=True)
-def impose_lines(lines: Lines, made: int, component: IntArray, prescribed: FloatArray, velocity: FloatArray) -> None:
+def _set_free(
+    lines: Lines, made: int, component: IntArray, prescribed: FloatArray, momentum: FloatArray, velocity: FloatArray
+) -> None:
+    """Velocities of free nodes by the transposed rule, with the masses in `momentum`."""
+    for i in range(made):
+        k = lines.condition[i]
+        free = lines.free[i]
+        if free < 0:
+            continue
+        comp = component[k]
+        leader = lines.leader[i]
+        if leader == i:
+            lines.inertia[i] = momentum[free, 0]
+            lines.brought[i] = momentum[free, 0] * velocity[free, comp]
+        for c in range(lines.length[i]):
+            r = lines.ratio[i, c]
+            n = lines.node[i, c]
+            mass = momentum[n, 0]
+            lines.inertia[leader] += r * r * mass
+            lines.brought[leader] += r * mass * (velocity[n, comp] - (1.0 - r) * prescribed[k])
+    for i in range(made):
+        if lines.free[i] >= 0 and lines.leader[i] == i:
+            velocity[lines.free[i], component[lines.condition[i]]] = lines.brought[i] / lines.inertia[i]
+
+
+@njit(cache=True, nogil=True)
+def impose_lines(
+    lines: Lines,
+    made: int,
+    component: IntArray,
+    prescribed: FloatArray,
+    momentum: FloatArray,
+    velocity: FloatArray,
+    splines: bool,
+) -> None:
     """Nodal velocities on the straight lines through the prescribed ones."""
+    if splines:
+        _set_free(lines, made, component, prescribed, momentum, velocity)
     for i in range(made):
         k = lines.condition[i]
         comp = component[k]

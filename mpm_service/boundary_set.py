@@ -58,6 +58,8 @@ class BoundarySet:
         at rest.
     refined : sequence of (lower, upper)
         Rectangles of the grid that have finer cells [m]: no face may come near them.
+    splines : bool
+        The grid's functions are B-splines: free nodes next to faces take their velocities by the transposed rule.
 
     Attributes
     ----------
@@ -80,11 +82,13 @@ class BoundarySet:
         time_step: float,
         started_moving: bool = False,
         refined: Sequence[tuple[Sequence[float], Sequence[float]]] = (),
+        splines: bool = False,
     ) -> None:
         self.conditions = tuple(conditions)
         self.reaction = np.zeros(len(self.conditions))
         self._time_step = float(time_step)
         self._started_moving = started_moving
+        self._splines = splines
         self._refined = tuple((np.asarray(a, np.float64), np.asarray(b, np.float64)) for a, b in refined)
         self._cell = float(grid.cell_size)
         self._origin = np.array(grid.origin, dtype=np.float64)
@@ -139,7 +143,7 @@ class BoundarySet:
         momentum : (R, 1 + 2 d) ndarray
             Mass, momentum and force of each row of the nodal tables [kg, kg m/s, N].
         motion : (R, 2 d) ndarray
-            New velocity and its increment [m/s], already there for free nodes.
+            New velocity and its increment [m/s], already there for the nodes that no condition reaches.
         keep : float
             Factor of mass-proportional damping in a step.
         force_factor : float
@@ -166,6 +170,7 @@ class BoundarySet:
             motion,
             self._time_step,
             keep,
+            self._splines,
             self.reaction,
         )
         if force_factor != 1.0:
@@ -179,7 +184,7 @@ class BoundarySet:
         Parameters
         ----------
         momentum : (R, 1 + 2 d) ndarray
-            Tells by its masses which rows carry material.
+            Its masses tell which rows carry material, and weigh the velocities of a line with B-splines.
         velocity : (R, >= d) ndarray
             Changed in its first d columns [m/s].
         before : bool
@@ -190,7 +195,7 @@ class BoundarySet:
         if self._made < 0:
             self._draw(momentum)
         prescribed = self._place.before if before else self._place.after
-        impose_lines(self._lines, self._made, self._faces.component, prescribed, velocity)
+        impose_lines(self._lines, self._made, self._faces.component, prescribed, momentum, velocity, self._splines)
 
     def _draw(self, momentum: FloatArray) -> None:
         near, base, capacity, extra = self._fields.near, self._fields.base, self._fields.capacity, self._fields.extra

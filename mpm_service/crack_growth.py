@@ -193,6 +193,7 @@ class CrackGrowth:
             self._laws.append(_law_of(number, crack))
         self.tips: list[TipState] = []
         self.lost: set[tuple[int, int]] = set()
+        self._before: list[FractureFields] | None = None
         self._asleep = {number for number, law in enumerate(self._laws) if law and law.start_stress is not None}
 
     def advance(self, steps: int) -> list[TipState]:
@@ -214,27 +215,43 @@ class CrackGrowth:
             raise ValueError(f"steps = {steps!r}: a whole number of at least 0 is needed")
         solver, events = self._solver, []
         end = solver.step + int(steps)
-        before: list[FractureFields] | None = None
         while solver.step < end:
             due = (solver.step // self.interval + 1) * self.interval
             stop = due - _WINDOW if solver.step < due - _WINDOW else due
             solver.advance(min(stop, end) - solver.step)
             if solver.step == due - _WINDOW:
-                before = [self._gather(tip) for tip in solver.cracks.tips]
+                self._before = [self._gather(tip) for tip in solver.cracks.tips]
             elif solver.step == due:
-                events += self._measure(before)
-                before = None
+                events += self._measure(self._before)
+                self._before = None
         return events
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """What a restart needs beside the solver's state: which cracks sleep, which tips are lost."""
+        """What a restart needs beside the solver's state: which cracks sleep, which tips are lost, fields of before."""
+        counts = [fields.position.shape[0] for fields in self._before or ()]
+        before = {
+            f"growth_before_{name}": np.concatenate([getattr(fields, name) for fields in self._before or ()])
+            if counts
+            else np.zeros(0)
+            for name in FractureFields._fields
+        }
         return {
+            "growth_before_count": np.array(counts, dtype=np.int64),
+            **before,
             "growth_asleep": np.array(sorted(self._asleep), dtype=np.int64),
             "growth_lost": np.array(sorted(self.lost), dtype=np.int64).reshape(-1, 2),
         }
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
-        """Take back a state. Exact at multiples of the interval, and up to 4 steps before the next."""
+        """Take back a state, exactly."""
+        counts = state["growth_before_count"]
+        ends = np.cumsum(counts)
+        self._before = None
+        if counts.size:
+            parts = {name: np.split(state[f"growth_before_{name}"], ends[:-1]) for name in FractureFields._fields}
+            self._before = [
+                FractureFields(**{name: part[k] for name, part in parts.items()}) for k in range(counts.size)
+            ]
         self._asleep = {int(number) for number in state["growth_asleep"]}
         self.lost = {(int(crack), int(end)) for crack, end in state["growth_lost"]}
 

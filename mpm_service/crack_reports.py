@@ -104,7 +104,21 @@ class CrackReports:
         self._growth.advance(steps)
         if self._solver.step % self._growth.interval:
             return []
-        return [event for state in self._growth.tips for event in self._note(state)]
+        measured = {(state.crack, state.end) for state in self._growth.tips}
+        return [event for state in self._growth.tips for event in self._note(state)] + self._gone(measured)
+
+    def _gone(self, measured: set[tuple[int, int]]) -> list[messages.ContinuumEvent]:
+        """Return the arrest of tips that grew, but have come too near a border to be measured any more."""
+        found = []
+        for key, (step, grew, values) in self._measured.items():
+            if grew and key not in measured:
+                self._measured[key] = (step, False, values)
+                sentence = (
+                    f"step {self._solver.step}: crack {key[0]} came to rest at its {('first', 'last')[key[1]]} end, "
+                    "too near an edge, a level border or another tip to be measured"
+                )
+                found.append(messages.ContinuumEvent(kind="arrest", step=self._solver.step, sentence=sentence))
+        return found
 
     def _note(self, state: TipState) -> list[messages.ContinuumEvent]:
         """Keep a measurement; return what it means for a crack that may grow."""
@@ -153,9 +167,11 @@ class CrackReports:
 
     def check(self, state: dict[str, np.ndarray]) -> None:
         """Raise ValueError where a state does not fit."""
-        for name, array in self.state().items():
-            if name not in state or state[name].shape[1:] != array.shape[1:]:
-                raise ValueError(f"field {name!r} is missing or has another shape")
+        missing = sorted(set(self.state()) - set(state))
+        if missing:
+            raise ValueError(f"field {missing[0]!r} is missing")
+        if self._growth is not None and state["measured_tips"].shape[1:] != (_KEY + len(_MEASURED),):
+            raise ValueError(f"field 'measured_tips' has shape {state['measured_tips'].shape}")
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Set a state that `check` let pass."""

@@ -31,7 +31,7 @@ RING = (2.0, 6.0)
 #: Closure length of `vcct` unless another is stated [cells].
 CLOSURE = 5.0
 # Share of the ring's weighted area that the points must cover, and how exactly.
-_COVER = 0.02
+_COVER = 0.01
 # Points of the ring whose sizes differ by more than this factor belong to different levels.
 _SAME_SIZE = 1.5
 
@@ -77,7 +77,12 @@ class TipFrame(NamedTuple):
 
 
 class FractureFields(NamedTuple):
-    """Points within reach of a tip, per unit thickness, in the reference state."""
+    """Points within reach of a tip, per unit thickness, in the reference state.
+
+    Displacements are counted from the body turned by the points' mean rotation R: the gradient is ``R^T F - I``, the
+    stress ``R^T P``, and so on. Nothing measured here depends on R, but with a gradient of order one the sums over
+    points would lose the small difference that matters.
+    """
 
     position: FloatArray
     """(n, 2) [m]"""
@@ -93,6 +98,8 @@ class FractureFields(NamedTuple):
     """(n,) mass over thickness [kg/m]."""
     area: FloatArray
     """(n,) weighted reference area [m^2]."""
+    rotation: FloatArray
+    """(2, 2) mean rotation of the points, which has been taken out of all vectors and tensors above."""
 
 
 class Rates(NamedTuple):
@@ -131,24 +138,41 @@ def fields_around(points: PointState, thickness: float, centre: ArrayLike, radiu
     -------
     FractureFields
         In order of id, so that two gatherings of one place differ by time alone (while no point is split).
+
+    Raises
+    ------
+    ValueError
+        If there is no point.
     """
     place = points.reference_position
     near = np.flatnonzero(points.alive & (np.hypot(*(place - np.asarray(centre, dtype=np.float64)).T) <= radius))
     gradient = points.displacement_gradient[near]
+    volume = points.reference_volume[near]
+    if near.size == 0:
+        raise ValueError(f"no material point within {radius:.6g} m of {np.asarray(centre).tolist()} m")
+    deformation = np.eye(2) + gradient
+    rotation = _rotation(np.average(deformation, axis=0, weights=volume))
     tau = points.kirchhoff_stress[near]
     kirchhoff = np.stack([tau[:, [0, 2]], tau[:, [2, 1]]], axis=1)
     # P = tau F^-T
-    first = np.linalg.solve(np.eye(2) + gradient, kirchhoff.transpose(0, 2, 1)).transpose(0, 2, 1)
-    volume = points.reference_volume[near]
+    first = np.linalg.solve(deformation, kirchhoff.transpose(0, 2, 1)).transpose(0, 2, 1)
+    back = rotation.T
     return FractureFields(
         np.ascontiguousarray(place[near]),
-        gradient,
-        np.ascontiguousarray(first),
+        back @ gradient + (back - np.eye(2)),
+        np.ascontiguousarray(back @ first),
         points.strain_energy[near] / thickness,
-        points.velocity[near],
+        np.ascontiguousarray(points.velocity[near] @ rotation),
         points.mass[near] / thickness,
         volume / thickness,
+        rotation,
     )
+
+
+def _rotation(deformation: FloatArray) -> FloatArray:
+    """Return the rotation of a plane deformation gradient (2, 2)."""
+    angle = np.arctan2(deformation[1, 0] - deformation[0, 1], deformation[0, 0] + deformation[1, 1])
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
 
 def rates_between(before: FractureFields, after: FractureFields, seconds: float) -> Rates:
@@ -163,7 +187,10 @@ def rates_between(before: FractureFields, after: FractureFields, seconds: float)
         raise ValueError(f"seconds = {seconds!r}: must be above 0")
     if before.position.shape != after.position.shape or not np.array_equal(before.position, after.position):
         raise ValueError("before and after: gathered from different points")
-    return Rates((after.velocity - before.velocity) / seconds, (after.gradient - before.gradient) / seconds)
+    turn = after.rotation.T @ before.rotation
+    # The rates of R F - 1 are those of F: what the former gradient was counted from is the same body.
+    former = turn @ before.gradient + (turn - np.eye(2))
+    return Rates((after.velocity - before.velocity @ turn.T) / seconds, (after.gradient - former) / seconds)
 
 
 def _plateau(distance: FloatArray, inner: float, outer: float) -> tuple[FloatArray, FloatArray]:
@@ -541,4 +568,4 @@ def crack_extension_angle(intensities: Intensities) -> float:
     """
     first, second = intensities
     whole = np.hypot(first, np.sqrt(8.0) * second)
-    return float(2.0 * np.arctan(-2.0 * second / (first + whole))) if second else 0.0
+    return float(2.0 * np.arctan2(-2.0 * second, first + whole))

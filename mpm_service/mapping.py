@@ -31,6 +31,8 @@ IntArray = NDArray[np.int64]
 CHUNK = 4096
 #: Rows of nodes in a strip: points of every second strip share no node, even after a cell's travel since sorting.
 STRIP = 4
+#: Threads share a level with at least this many regular points; with fewer, waiting for each other costs more.
+WORTH_SHARING = 20_000
 #: Points may travel this share of the smallest cell before they are sorted again.
 TRAVEL = 0.5
 #: Share of a cell's half from which a convected domain may no longer be swept on the lattice.
@@ -308,7 +310,7 @@ class Mapping:
             begin, end = self.begin[level], self.begin[level + 1]
             if begin == end:
                 continue
-            if self._pool is None:
+            if self._pool is None or end - begin < WORTH_SHARING:
                 answers.append(kernel(rows, np.array([[begin, end]]), lattice, *arguments))
                 continue
             strips = np.stack([self._strips[level][:-1], self._strips[level][1:]], axis=1)
@@ -413,7 +415,7 @@ class Mapping:
                 stress(slice(start, stop))
             return answers
 
-        if self._pool is None or len(chunks) < 2:
+        if self._pool is None or self.regular < WORTH_SHARING:
             return run(chunks)
         parts = [chunks[k :: self.threads] for k in range(self.threads)]
         found = self._together([partial(run, part) for part in parts])

@@ -22,6 +22,8 @@ class StraightLineRule:
     A constrained node follows ``v = v_b + r (v_f - v_b)``: the straight line through the edge's velocity ``v_b`` and
     that of the first node ``f`` inside. In matrix form the nodal velocities are ``v = T v_free + (1 - T 1) v_b``, and
     the free ones obey ``T^T M T dv = T^T (dt f - M d(...)/dt)``: forces and masses go where the velocities come from.
+    With B-splines the free velocities themselves come from ``T^T M T v_free = T^T M (v - (1 - T 1) v_b)``, since the
+    edge cuts the function of a free node.
 
     Parameters
     ----------
@@ -32,15 +34,23 @@ class StraightLineRule:
         Grid nodes in each direction.
     mass : (fields, grid nodes) ndarray
         Nodal masses of the velocity fields [kg]; rows without mass are left alone.
+    splines : bool
+        Are the grid's functions B-splines?
     """
 
     def __init__(
-        self, edges: Sequence[EdgeCondition], place: FloatArray, nodes: tuple[int, ...], mass: FloatArray
+        self,
+        edges: Sequence[EdgeCondition],
+        place: FloatArray,
+        nodes: tuple[int, ...],
+        mass: FloatArray,
+        splines: bool,
     ) -> None:
         dimension = len(nodes)
         shape = (dimension, mass.size)
         self.count = len(edges)
         self.mass = mass.ravel()
+        self.splines = splines
         self.condition = np.full(shape, -1, dtype=np.int64)
         self.leader = np.full(shape, -1, dtype=np.int64)
         self.ratio = np.zeros(shape)
@@ -84,7 +94,15 @@ class StraightLineRule:
             held = self.condition[a] >= 0
             edge = edge_velocity[self.condition[a, held]]
             leader, ratio = self.leader[a, held], self.ratio[a, held]
-            result[held, a] = edge + ratio * (velocity[leader, a] - edge)
+            if self.splines:
+                mass, follows = self.mass[held], leader >= 0
+                free = np.unique(leader[follows])
+                inertia, momentum = self.mass.copy(), self.mass * velocity[:, a]
+                brought = ratio * mass * (velocity[held, a] - (1.0 - ratio) * edge)
+                np.add.at(inertia, leader[follows], (ratio**2 * mass)[follows])
+                np.add.at(momentum, leader[follows], brought[follows])
+                result[free, a] = momentum[free] / inertia[free]
+            result[held, a] = edge + ratio * (result[leader, a] - edge)
         return result
 
     def accelerate(
@@ -130,8 +148,8 @@ class StraightLineRule:
             carried = ratio * impulse[held] - ratio * (1.0 - ratio) * self.mass[held] * jump
             np.add.at(impulse, leader[follows], carried[follows])
             full = inertia > 0.0
-            new[:, a] = keep * (old[:, a] + np.divide(impulse, inertia, out=np.zeros_like(impulse), where=full))
-            new[:, a] = self.impose(new, after)[:, a]
+            new[:, a] = keep * (start[:, a] + np.divide(impulse, inertia, out=np.zeros_like(impulse), where=full))
+            new[held, a] = after[number] + ratio * (new[leader, a] - after[number])
             grown = new[held, a] - start[held, a]
             pulled = (1.0 - ratio) * (self.mass[held] * grown - time_step * force[held, a])
             reaction += np.bincount(number, pulled / time_step, minlength=self.count)

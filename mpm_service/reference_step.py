@@ -141,10 +141,12 @@ class ReferenceStep:
         push = push[self.table.points.ids[: self.alive]]
         reader = self._anchor_reader(nodes.mass)
         force = nodes.shape.T @ push + reader.T @ pull - self._stress_divergence(nodes)
-        force *= self.damping.force_factor
+        factor = self.damping.force_factor  # reactions are those of a body of masses over it, see `Damping`
+        force *= factor
         free, increment, self.reaction, work, loss = nodes.rule.accelerate(
             nodes.velocity, force, dt, keep, before, after
         )
+        self.reaction, work = self.reaction / factor, work / factor
         new = self.cracks.press(nodes.mass, free, dt)
         increment += new - free
 
@@ -172,9 +174,9 @@ class ReferenceStep:
             self._deform(nodes, mapped, share * dt)
         position += moved
         self._part("increment")[:] = moved
-        factor = self.damping.point_factor(dt)
-        loss += 0.5 * (1.0 - factor**2) * float(self._column("mass") @ np.sum(velocity**2, axis=1))
-        velocity *= factor
+        left = self.damping.point_factor(dt)
+        loss += 0.5 * (1.0 - left**2) * float(self._column("mass") @ np.sum(velocity**2, axis=1))
+        velocity *= left
         self.totals += work, pushed, loss
         self.travel += float(np.max(np.abs(moved), initial=0.0))
 
@@ -192,7 +194,8 @@ class ReferenceStep:
             return inverse * (shape.T @ (weight[:, None] * values))
 
         by_field = mass.reshape(self.cracks.field_count, -1)
-        rule = StraightLineRule(self.edges, edge_place, self._node_counts, by_field)
+        splines = self.scheme.interpolation == "bspline"
+        rule = StraightLineRule(self.edges, edge_place, self._node_counts, by_field, splines)
         return _Nodes(shape, slopes, mass, to_nodes(self._part("velocity")), to_nodes, rule)
 
     def _constrained(self, nodes: _Nodes, velocity: FloatArray, edge_velocity: FloatArray) -> FloatArray:

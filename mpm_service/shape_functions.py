@@ -67,9 +67,7 @@ def shape_functions(
         raise ValueError(f"position: finite numbers of shape (n, {dimension}) are needed, got shape {place.shape}")
     sides = np.asarray(half, dtype=np.float64)
     if sides.shape not in ((), (dimension,), place.shape):
-        raise ValueError(
-            f"half: a number or shape ({dimension},) or {place.shape} is needed, got shape {sides.shape}"
-        )
+        raise ValueError(f"half: a number or shape ({dimension},) or {place.shape} is needed, got shape {sides.shape}")
     widest = 0.5 * (WIDEST - 2)
     if not np.all((sides >= 0.0) & (sides <= widest * grid.cell_size * (1.0 + 1e-12))):
         raise ValueError(f"half: from 0 to {widest:g} cells ({widest * grid.cell_size!r} m) is allowed, got {half!r} m")

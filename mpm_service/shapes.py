@@ -31,7 +31,6 @@ from numba.extending import overload
 
 from .scheme import Interpolation
 
-
 #: Least weight [cells] that a linear function leaves the node beyond a point on a cell line: that node's velocity
 #: enters the point's velocity gradient in full, so it must be some point's and not that of an empty node.
 SLIVER = 1e-15

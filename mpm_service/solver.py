@@ -164,6 +164,7 @@ class MaterialPointSolver:
             self.time_step,
             initial_velocity_gradient is not None,
             refined,
+            self.scheme.interpolation == "bspline",
         )
         self._balance = ForceBalance()
         self._cells = CellForces(self._mapping, [])
@@ -253,7 +254,11 @@ class MaterialPointSolver:
 
     @property
     def residual(self) -> float:
-        """Out-of-balance force of the last step over the largest of the forces at work; see ``damping.ForceBalance``."""
+        """Out-of-balance force of the last step over the largest force at work; see ``damping.ForceBalance``.
+
+        It is measured in the steps that follow the first time it is asked for; that time it is infinite.
+        """
+        self._integration.watches_balance = True
         return self._integration.residual
 
     def energies(self) -> Energies:

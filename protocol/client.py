@@ -31,7 +31,7 @@ from protocol.errors import (
     ServiceRestarted,
 )
 from protocol.frames import MAX_MESSAGE_BYTES, Envelope, Frame, decode, encode, size_of
-from protocol.messages import Empty, Hello, Message, VersionRange, Welcome
+from protocol.messages import Empty, Hello, Message, VersionRange, Welcome, newer_fields
 from protocol.roles import CONTROL, ROLES, Operation
 from protocol.version import NEWEST, OLDEST, Version, package_version
 
@@ -164,12 +164,21 @@ class Client:
         Raises
         ------
         ProtocolError
-            The error that the service answered, or `message_too_large` before anything is sent.
+            The error that the service answered; or, before anything is sent, `message_too_large`, or `unsupported`
+            where the request holds what the agreed version of the protocol does not know.
         ConnectionProblem
             See the module's state diagram.
         """
         began = time.perf_counter()
         message = request if request is not None else Empty()
+        unknown = newer_fields(message, self._version) if self._version < NEWEST else []
+        if unknown:
+            raise ProtocolError(
+                "unsupported",
+                f"{operation}: {', '.join(unknown)} came with a later version of the protocol than {self._version},"
+                f" which the {self.role} service speaks: it would ignore it",
+                field=unknown[0],
+            )
         self._requests += 1
         request_id = f"{self._name}-{self._requests:x}"
         frames = encode(

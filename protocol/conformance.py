@@ -80,6 +80,7 @@ class Kit(WireChecks, SolverChecks):
         self._check("checkpoint: going back to it gives the same bits", lambda: self._go_back(problem))
         self._check("checkpoint: a problem set anew goes on with the same bits", lambda: self._resume(problem))
         self._check("restore: a state that does not fit is refused", self._wrong_states)
+        self._kinds(problem)
         self._wrong_fields(problem)
         self._check("control: status while the solver computes, and abort", lambda: self._status_and_abort(problem))
         self._check("state failed: only configure helps", lambda: self._failed(problem))

@@ -14,6 +14,7 @@ from protocol.channel import REFUSED, Channel
 from protocol.dispatcher import UNKNOWN_ID
 from protocol.errors import CODES, ErrorReport, ProtocolError
 from protocol.frames import Envelope, Frame, decode, encode
+from protocol.kinds import path_of
 from protocol.messages import Message
 from protocol.version import NEWEST, Version
 from protocol.wrong_requests import names_field
@@ -141,7 +142,7 @@ def read_reply(answer: Envelope, kind: type[Reply]) -> Reply:
         return kind.from_parts(answer.body, answer.arrays)
     except ValidationError as error:
         problem = error.errors()[0]
-        path = ".".join(str(part) for part in problem["loc"])
+        path = ".".join(str(part) for part in path_of(problem["loc"]))
         raise Refuted(f"reply to {answer.type}: {path}: {problem['msg']}") from None
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -52,6 +52,8 @@ class Problem:
         Takes many seconds; will be aborted.
     sizes : dict of str to int
         Named sizes that are known once the problem is set.
+    kinds : list of (label, request)
+        Valid `configure` requests with what a service may have or refuse as unsupported.
     """
 
     steps: list[tuple[str, Message]]
@@ -60,10 +62,75 @@ class Problem:
     wrong: list[Wrong]
     long: tuple[str, Message]
     sizes: dict[str, int]
+    kinds: list[tuple[str, Message]] = field(default_factory=list)
 
     def request(self, operation: str) -> Message:
         """Return the request of an operation of `steps`."""
         return dict(self.steps)[operation]
+
+
+def continuum_kinds(configure: c.ContinuumConfigure) -> list[tuple[str, Message]]:
+    """Return variants of a problem, each with one thing that not every continuum can do."""
+    h, times = configure.cell_size, [0.0, 1e-9]
+    plain = configure.model_copy(update={"overlap": None})
+    crack = c.CrackLine(points=[(-7 * h, 0.5 * h), (-h, 0.5 * h)])
+    growth = c.CrackGrowth(critical_energy_release_rate=1.0, rule="max_hoop", interval=5)
+    materials: list[c.Material] = [
+        c.OrthotropicMaterial(
+            young_1=2e9, young_2=1e9, young_3=1e9, poisson_12=0.3, poisson_13=0.3, poisson_23=0.2, shear_12=4e8,
+            angle=0.5, density=2e3,
+        ),
+        c.NeoHookeanMaterial(young=1e9, poisson=0.3, density=1e3),
+        c.J2PlasticityMaterial(
+            young=1e9, poisson=0.3, density=1e3, yield_stress=1e7, hardening=1e8, saturation=1e6, saturation_rate=10.0
+        ),
+    ]  # fmt: skip
+    edges: list[c.AnyEdge] = [
+        c.EdgeVelocity(edge="top", component=1, times=times, velocities=[0.0, 1e-3]),
+        c.EdgeSymmetry(edge="bottom"),
+        c.EdgeTraction(edge="top", component=0, times=times, tractions=[0.0, 1e3]),
+        c.EdgePressure(edge="top", times=times, pressures=[0.0, 1e3]),
+        c.EdgeAbsorbing(edge="bottom"),
+    ]
+    level = c.Rectangle(lower=(-3 * h, -2 * h), upper=(3 * h, 2 * h))
+
+    def changed(**values: object) -> Message:
+        return plain.model_copy(update=values)
+
+    return [
+        ("another scheme", changed(scheme=c.Scheme(interpolation="linear", integration="usl", transfer="flip"))),
+        *((f"material {material.law}", changed(material=material)) for material in materials),
+        *((f"edge {edge.kind}", changed(edges=[*plain.edges, edge])) for edge in edges),
+        ("a finer level", changed(refinement=[level])),
+        ("two cracks", changed(cracks=[crack, crack.model_copy(update={"points": [(7 * h, -h / 2), (h, -h / 2)]})])),
+        ("a crack with friction", changed(cracks=[crack.model_copy(update={"contact": "coulomb", "friction": 0.3})])),
+        ("a crack that may grow", changed(cracks=[crack.model_copy(update={"growth": growth})])),
+        ("a measured crack", changed(cracks=[crack.model_copy(update={"measure_every": 5})])),
+        ("a body force", changed(body_force=c.BodyForce(acceleration=(0.0, -9.81), times=times, factors=[0.0, 1.0]))),
+        ("damping of points", changed(point_damping_rate=1e9)),
+        ("force scaling", changed(force_scaling=0.25)),
+        ("a preload", changed(preload=c.Preload(tolerance=1e-2, max_steps=20), initial_velocity_gradient=None)),
+        ("an end when points are lost", changed(on_lost_points="stop")),
+    ]
+
+
+def _with_everything(configure: c.ContinuumConfigure, kinds: list[tuple[str, Message]]) -> list[c.ContinuumConfigure]:
+    """Return requests that hold every kind of part between them."""
+    variants = [request for _, request in kinds if isinstance(request, c.ContinuumConfigure)]
+    edges = [edge for request in variants for edge in request.edges[len(configure.edges) :]]
+    first = configure.model_copy(
+        update={
+            "edges": [*configure.edges[:1], *edges],
+            "cracks": [crack for request in variants for crack in request.cracks if crack.growth is not None],
+            **{
+                name: next(value for request in variants if (value := getattr(request, name)))
+                for name in ("refinement", "body_force", "preload")
+            },
+        }
+    )
+    laws = [request.material for request in variants if request.material.law != "isotropic"]
+    return [first.model_copy(update={"material": law} if k == 0 else {"material": law, "edges": [], "cracks": []})
+            for k, law in enumerate(laws)]  # fmt: skip
 
 
 def continuum_problem() -> Problem:
@@ -122,6 +189,10 @@ def continuum_problem() -> Problem:
               changed(edges=[edge.model_copy(update={"displacements": [0.0, 0.0, 0.0]})])),
         Wrong("overlap.inner beyond outer", "configure", ("overlap.inner", "overlap.outer"),
               changed(overlap=configure.overlap.model_copy(update={"inner": body}) if configure.overlap else None)),
+        Wrong("a finer level beyond the body", "configure", ("refinement.0",),
+              changed(refinement=[c.Rectangle(lower=(-7 * h, 0.0), upper=(0.0, h))])),
+        Wrong("friction without coulomb", "configure", ("cracks.0.friction", "cracks.0.contact"),
+              changed(cracks=[crack.model_copy(update={"friction": 0.5})])),
         Wrong("an IVC that is not there", "register", ("anchor_ivc",),
               register.model_copy(update={"anchor_ivc": register.anchor_ivc + 1})),
         Wrong("a negative IVC", "register", ("anchor_ivc",),
@@ -133,11 +204,14 @@ def continuum_problem() -> Problem:
         Wrong("both forces", "advance", ("anchor_force", "ivc_force"),
               advance(0).model_copy(update={"anchor_force": anchor_force})),
     ]  # fmt: skip
+    kinds = continuum_kinds(configure)
     return Problem(
         steps=[("configure", configure), ("register", register)],
         advance=advance,
+        kinds=kinds,
         whole=[
             ("configure", changed(cracks=[crack])),
+            *(("configure", request) for request in _with_everything(configure, kinds)),
             ("register", register),
             ("advance", advance(0)),
             ("advance", c.ContinuumAdvance(steps=STEPS, anchor_force=anchor_force)),

@@ -12,11 +12,12 @@ from functools import partial
 import numpy as np
 
 from protocol import atomistic as a
+from protocol import continuum as c
 from protocol.arrays import ArraySpec
 from protocol.channel import CONNECTED, DISCONNECTED, ZmqChannel
 from protocol.conformance_kit import KitBase, NotTried
 from protocol.conformance_probe import NoAnswer, Probe, Refuted, difference, expect_error, read_reply
-from protocol.conformance_problems import Problem, atomistic_configure, atomistic_problem, continuum_problem
+from protocol.conformance_problems import STEPS, Problem, atomistic_configure, atomistic_problem, continuum_problem
 from protocol.frames import Envelope, decode
 from protocol.messages import (
     Acknowledged,
@@ -27,7 +28,9 @@ from protocol.messages import (
     Status,
     Welcome,
     array_fields,
+    newer_fields,
 )
+from protocol.version import Version
 from protocol.wrong_requests import WrongRequest, wrong_requests
 
 #: Larger messages are not sent to try the size limit.
@@ -203,9 +206,13 @@ class SolverChecks(KitBase):
             "wrong fields: an advance to compare with", lambda: self._advance_from(problem, first, 1)
         )
         self._check("wrong fields: back to the checkpoint", lambda: self._restore(saved))
+        assert self._welcome is not None
+        version = Version(*self._welcome.version)
         for operation, message in problem.whole:
+            if newer_fields(message, version):
+                continue
             groups: dict[str, list[WrongRequest]] = {}
-            for wrong in wrong_requests(message, problem.sizes):
+            for wrong in wrong_requests(message, problem.sizes, version):
                 groups.setdefault(wrong.field, []).append(wrong)
             for field, requests in groups.items():
                 self._check(
@@ -213,6 +220,8 @@ class SolverChecks(KitBase):
                     partial(self._refused, operation, requests),
                 )
         for rule in problem.wrong:
+            if newer_fields(rule.message, version):
+                continue
             request = WrongRequest("", rule.label, rule.paths, rule.message.plain_values(), rule.message.array_values())
             self._check(
                 f"wrong rule: {rule.operation}, {rule.label}",
@@ -222,6 +231,26 @@ class SolverChecks(KitBase):
             "wrong fields: none of them disturbed the solver",
             lambda: self._same(expected or [], self._advance_from(problem, first, 1), "after refused requests"),
         )
+
+    def _kinds(self, problem: Problem) -> None:
+        """Each thing that a service may have or not is taken, or refused as such."""
+        assert self._welcome is not None
+        version = Version(*self._welcome.version)
+        for label, request in problem.kinds:
+            if not newer_fields(request, version):
+                self._check(f"kinds: {label}", partial(self._taken_or_unsupported, problem, request))
+
+    def _taken_or_unsupported(self, problem: Problem, request: Message) -> str:
+        answer = self._work.ask("configure", request)
+        if answer.kind == "error":
+            report = expect_error(answer, ("unsupported",))
+            if not report.field:
+                raise Refuted(f"the error names no field: {report.sentence}")
+            return f"unsupported: {report.field}"
+        read_reply(answer, self._role.operations["configure"].reply)
+        advanced = self._work.ask("advance", c.ContinuumAdvance(steps=STEPS))
+        read_reply(advanced, self._role.operations["advance"].reply)
+        return "taken"
 
     def _refused(self, operation: str, requests: list[WrongRequest]) -> str:
         for request in requests:

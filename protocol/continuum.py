@@ -7,6 +7,31 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from protocol.arrays import ArraySpec, FloatArray, IntArray
+from protocol.continuum_parts import (
+    AnyEdge,
+    BodyForce,
+    ContinuumEvent,
+    CrackGrowth,
+    CrackLine,
+    CrackTip,
+    EdgeAbsorbing,
+    EdgeCondition,
+    EdgePressure,
+    EdgeSymmetry,
+    EdgeTraction,
+    EdgeVelocity,
+    GridLevel,
+    IsotropicMaterial,
+    J2PlasticityMaterial,
+    Material,
+    NeoHookeanMaterial,
+    OrthotropicMaterial,
+    Overlap,
+    Preload,
+    Rectangle,
+    Relaxation,
+    Scheme,
+)
 from protocol.messages import (
     Count,
     Finite,
@@ -14,77 +39,43 @@ from protocol.messages import (
     Message,
     Natural,
     NonNegative,
-    Part,
-    Point2,
     Positive,
-    check_ascending,
     check_indices,
+    since,
     wrong,
 )
 
-
-class IsotropicMaterial(Part):
-    """Linear elastic, isotropic."""
-
-    young: Positive = Field(description="[Pa] Young's modulus")
-    poisson: float = Field(gt=-1, lt=0.5, description="[1] Poisson's ratio")
-    density: Positive = Field(description="[kg/m3] mass per volume")
-
-
-class Rectangle(Part):
-    """An axis-parallel rectangle, m."""
-
-    lower: Point2 = Field(description="[m] x, y of the lower left corner")
-    upper: Point2 = Field(description="[m] x, y of the upper right corner, each above `lower`")
-
-    @model_validator(mode="after")
-    def _has_an_inside(self) -> Self:
-        if not (self.lower[0] < self.upper[0] and self.lower[1] < self.upper[1]):
-            raise wrong("upper", f"{list(self.upper)} is not above lower {list(self.lower)} in x and y")
-        return self
-
-
-class Overlap(Part):
-    """Where continuum and atoms overlap: a ring between two rectangles.
-
-    No continuum is modelled inside `inner`. In the ring, stiffness and mass of the continuum are both
-    scaled by `weight`, which leaves its wave speed as it is.
-    """
-
-    inner: Rectangle = Field(description="atoms only: no material points inside")
-    outer: Rectangle = Field(description="holds `inner`; outside it is continuum only")
-    weight: float = Field(gt=0, le=1, description="[1] factor on stiffness and mass of the continuum in the ring")
-
-    @model_validator(mode="after")
-    def _outer_holds_inner(self) -> Self:
-        for axis in (0, 1):
-            if self.inner.lower[axis] < self.outer.lower[axis] or self.inner.upper[axis] > self.outer.upper[axis]:
-                raise wrong("inner", f"reaches beyond outer along {'xy'[axis]}")
-        return self
-
-
-class EdgeCondition(Part):
-    """Prescribed displacement of one edge of the body, piecewise linear in time."""
-
-    edge: Literal["left", "right", "bottom", "top"] = Field(description="edge of `body`")
-    component: Literal[0, 1] = Field(description="0 is x, 1 is y")
-    times: list[Finite] = Field(
-        min_length=2, description="[s] ascending; the displacement is constant before the first and after the last"
-    )
-    displacements: list[Finite] = Field(min_length=2, description="[m] one for each of `times`")
-
-    @model_validator(mode="after")
-    def _is_a_table(self) -> Self:
-        if len(self.times) != len(self.displacements):
-            raise wrong("displacements", f"has {len(self.displacements)} entries, times has {len(self.times)}")
-        check_ascending("times", self.times)
-        return self
-
-
-class CrackLine(Part):
-    """A traction-free crack along a polyline."""
-
-    points: list[Point2] = Field(min_length=2, description="[m] x, y of each corner of the line")
+__all__ = [
+    "AnyEdge",
+    "BodyForce",
+    "ContinuumAdvance",
+    "ContinuumAdvanced",
+    "ContinuumConfigure",
+    "ContinuumConfigured",
+    "ContinuumEvent",
+    "ContinuumRegister",
+    "ContinuumRegistered",
+    "CrackGrowth",
+    "CrackLine",
+    "CrackTip",
+    "EdgeAbsorbing",
+    "EdgeCondition",
+    "EdgePressure",
+    "EdgeSymmetry",
+    "EdgeTraction",
+    "EdgeVelocity",
+    "GridLevel",
+    "IsotropicMaterial",
+    "J2PlasticityMaterial",
+    "Material",
+    "NeoHookeanMaterial",
+    "OrthotropicMaterial",
+    "Overlap",
+    "Preload",
+    "Rectangle",
+    "Relaxation",
+    "Scheme",
+]
 
 
 class ContinuumConfigure(Message):
@@ -93,27 +84,71 @@ class ContinuumConfigure(Message):
     assumption: Literal["plane_stress", "plane_strain"] = Field(description="how the third direction behaves")
     thickness: Positive = Field(description="[m] extent of the body along z")
     body: Rectangle = Field(description="reference shape of the body")
-    cell_size: Positive = Field(description="[m] edge of a background cell")
+    cell_size: Positive = Field(description="[m] edge of a background cell, of the coarsest level")
     points_per_cell: Count = Field(description="material points per cell and direction")
-    material: IsotropicMaterial = Field(description="one material for the whole body")
+    refinement: list[Rectangle] = Field(
+        default_factory=list,
+        description="each halves the cells inside it and lies inside the one before",
+        json_schema_extra=since(1, 1),
+    )
+    scheme: Scheme = Field(
+        default_factory=Scheme,
+        description="how the method works, where there is a choice",
+        json_schema_extra=since(1, 1),
+    )
+    material: Material = Field(description="one material for the whole body")
     overlap: Overlap | None = Field(default=None, description="absent: continuum everywhere in `body`")
     cracks: list[CrackLine] = Field(default_factory=list, description="absent or empty: no crack")
-    edges: list[EdgeCondition] = Field(default_factory=list, description="an edge without a condition is free")
+    edges: list[AnyEdge] = Field(default_factory=list, description="an edge without a condition is free")
+    body_force: BodyForce | None = Field(default=None, description="absent: none", json_schema_extra=since(1, 1))
     initial_velocity_gradient: Annotated[tuple[Finite, Finite, Finite, Finite], Field(strict=False)] | None = Field(
         default=None, description="[1/s] xx, xy, yx, yy: the initial velocity is this gradient times position"
     )
     damping_rate: NonNegative = Field(
         default=0.0, description="[1/s] mass-proportional damping: a free velocity decays as exp(-rate t)"
     )
+    point_damping_rate: NonNegative = Field(
+        default=0.0,
+        description="[1/s] the same, applied to the velocities of the points instead of the nodes",
+        json_schema_extra=since(1, 1),
+    )
+    force_scaling: Annotated[NonNegative, Field(lt=1)] = Field(
+        default=0.0,
+        description="[1] c: nodal forces are multiplied by 1 - c (Eq 45); it slows the dynamics and damps nothing",
+        json_schema_extra=since(1, 1),
+    )
+    preload: Preload | None = Field(
+        default=None, description="absent: the run starts as it is configured", json_schema_extra=since(1, 1)
+    )
+    on_lost_points: Literal["continue", "stop"] = Field(
+        default="continue",
+        description="`stop`: a point that leaves the grid ends the `advance` as `solver_failed`",
+        json_schema_extra=since(1, 1),
+    )
     time_step: Positive = Field(description="[s] step of `advance`")
+
+    @model_validator(mode="after")
+    def _levels_are_nested(self) -> Self:
+        outer, what = self.body, "body"
+        for level, inner in enumerate(self.refinement):
+            if any(inner.lower[k] < outer.lower[k] or inner.upper[k] > outer.upper[k] for k in (0, 1)):
+                raise wrong(f"refinement.{level}", f"reaches beyond {what}")
+            outer, what = inner, f"refinement.{level}"
+        return self
 
 
 class ContinuumConfigured(Message):
     """What was built."""
 
-    courant_number: float = Field(description="[1] time step times wave speed over cell size (Eq 31)")
+    courant_number: float = Field(description="[1] time step times wave speed over smallest cell size (Eq 31)")
     stable_time_step: float = Field(description="[s] largest stable step")
     cells: Integer = Field(description="cells that hold material")
+    levels: list[GridLevel] = Field(
+        default_factory=list, description="levels of the grid, coarsest first", json_schema_extra=since(1, 1)
+    )
+    relaxation: Relaxation | None = Field(
+        default=None, description="how `preload` ended; absent without it", json_schema_extra=since(1, 1)
+    )
     position: Annotated[FloatArray, ArraySpec("<f8", ("points", 3), "m")] = Field(
         description="reference positions of the material points; rows of all point fields are in this order"
     )
@@ -198,4 +233,20 @@ class ContinuumAdvanced(Message):
     edge_work: float = Field(description="[J] work done by the edges since the start")
     interface_work: float = Field(description="[J] work done by the reaction forces since the start")
     damping_loss: float = Field(description="[J] energy taken by damping since the start")
+    load_work: float = Field(
+        default=0.0,
+        description="[J] work done by tractions, pressures, body force and absorbing edges since the start",
+        json_schema_extra=since(1, 1),
+    )
+    dissipated_energy: float = Field(
+        default=0.0,
+        description="[J] energy taken by plastic flow and by friction of crack faces since the start",
+        json_schema_extra=since(1, 1),
+    )
     points_lost: Natural = Field(description="points that left the grid since the start")
+    tips: list[CrackTip] = Field(
+        default_factory=list, description="crack tips inside the body", json_schema_extra=since(1, 1)
+    )
+    events: list[ContinuumEvent] = Field(
+        default_factory=list, description="what happened in these steps, in order", json_schema_extra=since(1, 1)
+    )

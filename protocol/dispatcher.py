@@ -22,6 +22,7 @@ from pydantic_core import ErrorDetails
 
 from protocol.errors import ErrorReport, ProtocolError, traceback_tail
 from protocol.frames import MAX_HEADER_BYTES, MAX_MESSAGE_BYTES, Envelope, Frame, decode, encode, size_of
+from protocol.kinds import path_of
 from protocol.messages import FIELD_RULE, Acknowledged, Empty, Hello, Message, Status, VersionRange, Welcome
 from protocol.roles import CONTROL, ROLES, Operation
 from protocol.service import Service
@@ -299,7 +300,7 @@ def bad_field(error: ValidationError, what: str) -> ProtocolError:
     problems = error.errors(include_url=False)
     first = problems[0]
     # A rule between several fields is raised by the whole; it knows which field to name.
-    path = ".".join(str(part) for part in (*first["loc"], *_rule_field(first))) or what
+    path = _path(first) or what
     value = first.get("input")
     shown = (
         ""
@@ -308,7 +309,7 @@ def bad_field(error: ValidationError, what: str) -> ProtocolError:
     )
     sentence = f"{what}: {path}: {first['msg']}{shown}"
     if len(problems) > 1:
-        others = sorted({".".join(str(part) for part in (*p["loc"], *_rule_field(p))) for p in problems[1:]})
+        others = sorted({_path(problem) for problem in problems[1:]})
         sentence += f"; also wrong: {', '.join(others)}"
     return ProtocolError("bad_field", sentence, field=path)
 
@@ -321,8 +322,10 @@ def _defect(error: Exception) -> ProtocolError:
     )  # fmt: skip
 
 
-def _rule_field(problem: ErrorDetails) -> tuple[str, ...]:
-    return (problem["ctx"]["field"],) if problem["type"] == FIELD_RULE else ()
+def _path(problem: ErrorDetails) -> str:
+    """Return the path of the field that a validation error is about."""
+    rule = (problem["ctx"]["field"],) if problem["type"] == FIELD_RULE else ()
+    return ".".join(str(part) for part in (*path_of(problem["loc"]), *rule))
 
 
 def _short(value: Any) -> str:

@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cache
 from itertools import pairwise
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
 from protocol.arrays import ArrayMap, ArrayMapSpec, ArraySpec
+from protocol.version import Version
 
 
 def _plain_integer(value: Any) -> Any:
@@ -55,8 +57,23 @@ def check_indices(name: str, values: NDArray[np.int64], end: int | None) -> None
         raise wrong(name, f"holds {bad}, allowed is 0 to {end - 1}" if end else f"holds {bad}, allowed is 0 and above")
 
 
+def since(major: int, minor: int) -> dict[str, Any]:
+    """Return the `json_schema_extra` of a field that this version of the protocol added."""
+    return {"since": [major, minor]}
+
+
+def field_version(field: FieldInfo) -> Version:
+    """Return the version of the protocol that added a field."""
+    extra = field.json_schema_extra
+    found = extra.get("since") if isinstance(extra, dict) else None
+    return Version(*found) if isinstance(found, list) else Version(1, 0)  # type: ignore[arg-type]
+
+
 class Part(BaseModel):
     """A group of fields inside a message; unknown fields (of a newer minor version) are ignored."""
+
+    #: Version of the protocol that brought this part.
+    added_in: ClassVar[Version] = Version(1, 0)
 
     model_config = ConfigDict(extra="ignore", frozen=True, strict=True, allow_inf_nan=False)
 
@@ -132,6 +149,27 @@ def array_fields(model: type[BaseModel]) -> dict[str, ArraySpec | ArrayMapSpec]:
         for item in candidates:
             if isinstance(item, ArraySpec | ArrayMapSpec):
                 found[name] = item
+    return found
+
+
+def newer_fields(value: Any, version: Version, path: str = "") -> list[str]:
+    """Return the paths of what a side that speaks only `version` would not understand, and so ignore.
+
+    A field that a later version added counts where it is not at its default.
+    """
+    found: list[str] = []
+    if isinstance(value, Part) and value.added_in > version:
+        return [path]
+    if isinstance(value, BaseModel):
+        for name, field in type(value).model_fields.items():
+            entry, place = getattr(value, name), f"{path}.{name}" if path else name
+            if field_version(field) <= version:
+                found += newer_fields(entry, version, place)
+            elif field.is_required() or entry != field.get_default(call_default_factory=True):
+                found.append(place)
+    elif isinstance(value, list | tuple):
+        for index, entry in enumerate(value):
+            found += newer_fields(entry, version, f"{path}.{index}")
     return found
 
 

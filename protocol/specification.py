@@ -20,9 +20,9 @@ from pydantic.fields import FieldInfo
 from protocol.arrays import ArrayMapSpec
 from protocol.errors import MEANINGS, ErrorReport
 from protocol.frames import ArrayEntry, Envelope, Header, encode
-from protocol.messages import Hello, Message, Part, VersionRange, Welcome, array_fields
+from protocol.messages import Hello, Message, Part, VersionRange, Welcome, array_fields, field_version
 from protocol.roles import ANY, CONTROL, ROLES, Operation
-from protocol.version import NEWEST, OLDEST
+from protocol.version import NEWEST, OLDEST, Version
 
 SPEC = Path(__file__).with_name("SPEC.md")
 
@@ -62,7 +62,8 @@ def tables() -> str:
                 parts += _operation_section(name, operation)
     parts += ["", "### Parts", "", "Maps that stand inside a message as the value of a field."]
     for part in _parts():
-        parts += ["", f"#### `{part.__name__}`", "", _sentence(part), "", *_model_table(part)]
+        added = f" Since {part.added_in}." if part.added_in > Version(1, 0) else ""
+        parts += ["", f"#### `{part.__name__}`", "", _sentence(part) + added, "", *_model_table(part)]
     return "\n".join(parts) + "\n"
 
 
@@ -166,6 +167,8 @@ def _model_table(model: type[BaseModel]) -> list[str]:
         else:
             kind, shape = _type_text(field.annotation), ""
         given = "required" if field.is_required() else _default_text(field)
+        if field_version(field) > Version(1, 0):
+            given += f", since {field_version(field)}"
         rows.append(f"| `{name}` | {kind} | {shape} | {unit} | {given} | {'; '.join(_limits(field, spec))} | {words} |")
     return rows
 
@@ -177,7 +180,7 @@ def _header_table() -> list[str]:
 
 def _type_text(annotation: Any) -> str:
     """Return a type as a reader of another language names it."""
-    if annotation in _NAMES:
+    if isinstance(annotation, type) and annotation in _NAMES:
         return _NAMES[annotation]
     if annotation is Any:
         return "any"
@@ -203,6 +206,10 @@ def _default_text(field: FieldInfo) -> str:
     default = field.get_default(call_default_factory=True)
     if default is None:
         return "optional"
+    if isinstance(default, BaseModel):
+        return "default: its defaults"
+    if typing.get_origin(field.annotation) is typing.Literal and len(typing.get_args(field.annotation)) == 1:
+        return "fixed"
     return f"default `{default!r}`" if default != "" else "default empty"
 
 

@@ -11,11 +11,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel
+from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 
 from protocol.arrays import ArraySpec
-from protocol.messages import Message, array_fields
+from protocol.messages import Message, array_fields, field_version
+from protocol.version import NEWEST, Version
 
 Path = tuple[str | int, ...]
 _ABSENT = object()
@@ -44,7 +45,7 @@ class WrongRequest:
     arrays: dict[str, np.ndarray]
 
 
-def wrong_requests(message: Message, sizes: dict[str, int]) -> Iterator[WrongRequest]:
+def wrong_requests(message: Message, sizes: dict[str, int], version: Version = NEWEST) -> Iterator[WrongRequest]:
     """Yield `message` with each field made wrong in turn.
 
     Parameters
@@ -53,9 +54,11 @@ def wrong_requests(message: Message, sizes: dict[str, int]) -> Iterator[WrongReq
         A valid request with every optional field given.
     sizes : dict of str to int
         Named sizes of arrays that earlier messages fixed; an array that differs from them is wrong.
+    version : Version
+        Version that the other side speaks: it ignores fields that a later one added.
     """
     body, arrays = _lists(message.plain_values()), message.array_values()
-    for path, label, value in _plain_faults(type(message), body, ()):
+    for path, label, value in _plain_faults(type(message), body, (), version):
         text = ".".join(str(part) for part in path)
         yield WrongRequest(without_indices(text), label, (text,), _with(body, path, value), arrays)
     for name, spec in array_fields(type(message)).items():
@@ -109,28 +112,31 @@ def _array_faults(
         yield fault("a row more", np.concatenate([array, array[:1]]), same)
 
 
-def _plain_faults(model: type[BaseModel], values: dict[str, Any], start: Path) -> Iterator[tuple[Path, str, Any]]:
+def _plain_faults(
+    model: type[BaseModel], values: dict[str, Any], start: Path, version: Version
+) -> Iterator[tuple[Path, str, Any]]:
     arrays = array_fields(model) if issubclass(model, Message) else {}
     for name, field in model.model_fields.items():
-        if name in arrays:
+        if name in arrays or field_version(field) > version:
             continue
         path = (*start, name)
         if field.is_required():
             yield path, "missing", _ABSENT
         elif field.get_default(call_default_factory=True) is not None:
             yield path, "nil", None
-        yield from _value_faults(field.annotation, _constraints(field.metadata), values[name], path)
+        yield from _value_faults(field.annotation, _constraints(field.metadata), values[name], path, version)
 
 
-def _value_faults(annotation: Any, limits: list[Any], value: Any, path: Path) -> Iterator[tuple[Path, str, Any]]:
+def _value_faults(
+    annotation: Any, limits: list[Any], value: Any, path: Path, version: Version
+) -> Iterator[tuple[Path, str, Any]]:
     """Yield (path, label, wrong value) for one value and what is inside it."""
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if origin is typing.Annotated:
-        yield from _value_faults(arguments[0], limits + _constraints(arguments[1:]), value, path)
+        yield from _value_faults(arguments[0], limits + _constraints(arguments[1:]), value, path, version)
     elif origin in (typing.Union, types.UnionType):
-        inner = [argument for argument in arguments if argument is not type(None)]
-        if len(inner) == 1 and value is not None:
-            yield from _value_faults(inner[0], limits, value, path)
+        if value is not None:
+            yield from _value_faults(_kind_of(arguments, value), limits, value, path, version)
     elif origin is typing.Literal:
         yield path, "a word that is not allowed", "no such word"
         yield path, "a number that is not allowed", 99
@@ -139,12 +145,14 @@ def _value_faults(annotation: Any, limits: list[Any], value: Any, path: Path) ->
         for limit in limits:
             if hasattr(limit, "min_length"):
                 yield path, "too short", value[: limit.min_length - 1]
-        if value:
-            yield from _value_faults(arguments[0], [], value[0], (*path, 0))
+        # One entry stands for all, except where entries are of several kinds.
+        entries = value if typing.get_origin(_plain(arguments[0])) in (typing.Union, types.UnionType) else value[:1]
+        for index, entry in enumerate(entries):
+            yield from _value_faults(arguments[0], [], entry, (*path, index), version)
     elif origin is tuple:
         yield path, "a number", 7
         yield path, "too short", value[:-1]
-        yield from _value_faults(arguments[0], [], value[0], (*path, 0))
+        yield from _value_faults(arguments[0], [], value[0], (*path, 0), version)
     elif annotation is str:
         yield path, "a number", 7
     elif annotation in (int, float):
@@ -159,9 +167,25 @@ def _value_faults(annotation: Any, limits: list[Any], value: Any, path: Path) ->
         yield from ((path, f"{wrong:g}", wrong) for wrong in _outside(limits, annotation))
     elif isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield path, "a number", 7
-        yield from _plain_faults(annotation, value, path)
+        yield from _plain_faults(annotation, value, path, version)
     else:
         raise TypeError(f"no wrong value known for the type {annotation!r} of {path}")
+
+
+def _plain(annotation: Any) -> Any:
+    return typing.get_args(annotation)[0] if typing.get_origin(annotation) is typing.Annotated else annotation
+
+
+def _kind_of(kinds: tuple[Any, ...], value: Any) -> Any:
+    """Return which of several types of a field its value is."""
+    inner = [kind for kind in kinds if kind is not type(None)]
+    for kind in inner[:-1]:
+        try:
+            TypeAdapter(kind).validate_python(value)
+        except ValidationError:
+            continue
+        return kind
+    return inner[-1]
 
 
 def _outside(limits: list[Any], kind: type) -> Iterator[Any]:

@@ -14,14 +14,14 @@ length, cell, pull = 100.0, 0.5, 100e6  # m, m, Pa
 graphene = IsotropicElastic(young=1.03e12, poisson=0.0, density=2250.0, assumption="plane_stress")
 bar = fill_rectangle((0.0, 0.0), (length, 2 * cell), cell)
 grid = Grid(origin=(-3 * cell, -3 * cell), cell_size=cell, cells=(206, 8))
-step = 0.5 * cell / graphene.pressure_wave_speed  # s, Courant number 0.5
+step = 0.4 * cell / graphene.pressure_wave_speed  # s, Courant number 0.4
 solver = MaterialPointSolver(grid, bar, graphene, 1.0, step, loads=(Traction("left", (-pull, 0.0)),))
 
 lower_row = solver.points.reference_position[:, 1] < 0.5 * cell
 place = solver.points.reference_position[lower_row, 0]
 profiles = []
 for _ in range(3):
-    solver.advance(100)
+    solver.advance(125)
     profiles.append((solver.time, solver.points.stress[lower_row, 0]))
 
 # %% Stress along the bar at three times

@@ -98,8 +98,9 @@ def run_bar_wave(scheme: Scheme | None = None, courant: float = COURANT) -> BarW
     steps = round(TRAVEL / courant)
     cell = LENGTH / CELLS
     column = (solver.points.reference_position[:, 0] // cell).astype(np.int64)
-    place = cell * (np.arange(CELLS) + 0.5)
-    profiles = []
+    place: FloatArray = np.linspace(0.5 * cell, LENGTH - 0.5 * cell, CELLS, dtype=np.float64)
+    profiles: list[tuple[float, FloatArray]] = []
+    stress: FloatArray = np.zeros(0)
     for part in range(3):
         solver.advance(steps * (part + 1) // 3 - solver.step)
         axial = solver.points.stress[:, 0] / TRACTION

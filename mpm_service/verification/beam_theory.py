@@ -157,17 +157,18 @@ def elastic_harmonic(beam: Beam, n: int, degree: int = 20) -> Harmonic:
     count = degree + 1
     s, gauss = legendre.leggauss(count + 2)
     gauss = 0.5 * beam.height * gauss
-    value = legendre.legvander(s, degree)
-    slope = np.stack([legendre.legval(s, legendre.legder(row)) for row in np.eye(count)], axis=1) * 2.0 / beam.height
+    value: FloatArray = np.asarray(legendre.legvander(s, degree), dtype=np.float64)
+    slopes = [legendre.legval(s, legendre.legder(row)) for row in np.eye(count)]
+    slope: FloatArray = np.asarray(np.stack(slopes, axis=1) * 2.0 / beam.height, dtype=np.float64)
     k = n * np.pi / beam.length
     c11 = beam.young / (1.0 - beam.poisson**2)
     c12 = beam.poisson * c11
     c33 = 0.5 * beam.young / (1.0 + beam.poisson)
 
     none = np.zeros_like(value)
-    strain_x = np.hstack([-k * value, none])
-    strain_y = np.hstack([none, slope])
-    shear = np.hstack([slope, k * value])
+    strain_x: FloatArray = np.hstack([-k * value, none])
+    strain_y: FloatArray = np.hstack([none, slope])
+    shear: FloatArray = np.hstack([slope, k * value])
 
     def product(a: FloatArray, b: FloatArray) -> FloatArray:
         return np.asarray(a.T @ (gauss[:, None] * b))

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
 from protocol.verification import Case, Check
 
-from ..scheme import Scheme
+from ..scheme import Integration, Interpolation, Scheme
 from . import bar_wave, beam, convergence, free_vibration, large_deformation, rigid, stability, transition
 from .beam_theory import bernoulli_deflection, timoshenko_deflection
+from .edge_crack_checks import edge_crack_checks
 
 DEFAULT = Scheme()
 FLIP = Scheme(transfer="flip")
@@ -41,7 +43,7 @@ def beam_under_harmonic_force(folder: Path) -> list[Check]:
 
 
 #: Error of the beam with FMPM(2) when this case was written: a figure to watch, not one to be proud of.
-BEAM_DAMPED = 0.072
+BEAM_DAMPED = 0.0625
 
 
 def bar_with_a_step(folder: Path) -> list[Check]:
@@ -85,10 +87,11 @@ def vibrating_bar(folder: Path) -> list[Check]:
     ]  # fmt: skip
 
 
-SHAPES = ("linear", "ugimp", "cpgimp", "bspline")
-UPDATES = ("musl", "usl", "usf", "usavg")
-#: Schemes that must be of second order while points stay in their cells. FMPM(2) on B-splines starts with a smaller
-#: error than these reach and falls with first order; linear functions lie between one and two; both are in the table.
+SHAPES: tuple[Interpolation, ...] = get_args(Interpolation)
+UPDATES: tuple[Integration, ...] = get_args(Integration)
+#: Schemes that must be of second order while points stay in their cells. Not among them, but in the table: FMPM(2) on
+#: B-splines, whose error is small on coarse cells already and does not fall steadily, and linear functions, which
+#: lie between first and second order.
 SECOND_ORDER = (DEFAULT, FLIP, Scheme("cpgimp"), Scheme("bspline", transfer="flip"))
 
 
@@ -102,12 +105,13 @@ def manufactured(folder: Path) -> list[Check]:
     convergence.draw_convergence(small, large, folder / "convergence.png")
     convergence.write_table(large, folder / "convergence.csv")
     convergence.write_table(small, folder / "convergence_small_amplitude.csv")
+    orders = {label: convergence.order_of(small, label) for label in map(convergence.label_of, SECOND_ORDER)}
     finest = {row.label: row.error for row in large if row.cells == convergence.SIZES[-1]}
     return [
         *(
-            Check(f"order short of 1.8 in displacement, {label}", max(0.0, 1.8 - convergence.order_of(small, label)), 0.0,
-                  0.0, f"manufactured solution; measured order {convergence.order_of(small, label):.2f}")
-            for label in map(convergence.label_of, SECOND_ORDER)
+            Check(f"order short of 1.8 in displacement, {label}", max(0.0, 1.8 - order), 0.0, 0.0,
+                  f"manufactured solution; measured order {order:.2f}")
+            for label, order in orders.items()
         ),
         Check("rms error over amplitude where points cross cells, 32 cells, default scheme",
               finest[convergence.label_of(DEFAULT)], 0.005, 0.0, "manufactured solution; regression", at_most=True),
@@ -147,7 +151,7 @@ def large_motion(folder: Path) -> list[Check]:
     """Spinning disk and tensile bar."""
     disks = {
         "FLIP, stress last (USL)": large_deformation.run_disk(Scheme(integration="usl", transfer="flip")),
-        "FLIP, MUSL": large_deformation.run_disk(FLIP),
+        "FLIP, MUSL": large_deformation.run_disk(FLIP, crossings=300),
         "FMPM(2), MUSL": large_deformation.run_disk(DEFAULT, crossings=20),
     }
     large_deformation.draw_disk(disks, folder / "disk.png")
@@ -164,13 +168,14 @@ def large_motion(folder: Path) -> list[Check]:
         *(Check(f"momentum of the disk: largest change over m v, {label}", disk.momentum_error, 1e-12, 0.0,
                 "conserved", at_most=True)
           for label, disk in disks.items()),
-        Check("angular momentum: change over 1000 crossings, FLIP, USL", quiet.angular_momentum[-1] - 1.0, 0.0, 0.12,
+        Check("angular momentum: change over 1000 crossings, FLIP, USL", quiet.angular_momentum[-1] - 1.0, 0.0, 0.06,
               conserved),
-        Check("energy: change over 1000 crossings, FLIP, USL", quiet.energy[-1] - 1.0, 0.0, 0.20, conserved),
+        Check("energy: change over 1000 crossings, FLIP, USL", quiet.energy[-1] - 1.0, 0.0, 0.12, conserved),
         Check("axial stress at stretch 2, worst point, cpGIMP", bars["cpGIMP"].stress_error, 0.0, 0.02,
               "closed form, neo-Hookean in plane strain"),
-        Check("uGIMP breaks on the way to stretch 2 (widest gap above 1.5)", float(bars["uGIMP"].spread > 1.5), 1.0, 0.0,
-              "domains that do not follow the stretch"),
+        Check("uGIMP's worst point is off at least ten times as much",
+              float(bars["uGIMP"].stress_error > 10.0 * bars["cpGIMP"].stress_error), 1.0, 0.0,
+              f"domains that do not follow the stretch; it is off by {bars['uGIMP'].stress_error:.2g}"),
         Check("widest gap over even spacing at stretch 2, cpGIMP", bars["cpGIMP"].spread, 1.0, 0.02,
               "uniform stretch"),
     ]  # fmt: skip
@@ -215,6 +220,7 @@ CASES = [
     Case("mpm", "beam", "simply supported beam under a harmonic force (Fig 2.6)", beam_under_harmonic_force),
     Case("mpm", "bar-wave", "a step of stress along a graphene bar (Fig 2.9)", bar_with_a_step),
     Case("mpm", "free-vibration", "ten periods of an axial mode", vibrating_bar),
+    Case("mpm", "edge-crack", "J and crack closure of an edge crack against Tada", edge_crack_checks),
     Case("mpm", "convergence", "order and time of every shape function and update", manufactured),
     Case("mpm", "rigid", "rigid motion leaves no stress", rigid_motion),
     Case("mpm", "large-deformation", "a spinning disk and a bar at stretch 2", large_motion),

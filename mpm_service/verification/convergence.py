@@ -108,9 +108,7 @@ def label_of(scheme: Scheme) -> str:
     return f"{scheme.interpolation} {scheme.integration} {scheme.transfer}{order}"
 
 
-def convergence_table(
-    schemes: Sequence[Scheme], amplitude: float = LARGE, sizes: Sequence[int] = SIZES
-) -> list[Row]:
+def convergence_table(schemes: Sequence[Scheme], amplitude: float = LARGE, sizes: Sequence[int] = SIZES) -> list[Row]:
     """Run every scheme at every size."""
     rows = []
     for scheme in schemes:

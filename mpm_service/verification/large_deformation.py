@@ -92,7 +92,7 @@ def run_disk(scheme: Scheme, crossings: int = 1000, rim: float = 0.1, radius: fl
     start = figures()
     chunk = int(0.2 / (rim * solver.time_step * DISK.pressure_wave_speed))  # a rim point moves by a fifth of a cell
     turns, spin, energy = [], [], []
-    momentum_error, crossed, angle = 0.0, 0, 0.0
+    momentum_error, crossed, angle, chunks = 0.0, 0, 0.0, 0
     before = solver.points.position[rim_point]
     while crossed < crossings and solver.time < 3.0 * duration:
         solver.advance(chunk)
@@ -100,6 +100,9 @@ def run_disk(scheme: Scheme, crossings: int = 1000, rim: float = 0.1, radius: fl
         crossed += int(np.abs(np.floor(now) - np.floor(before)).sum())
         angle += float(np.angle(complex(*now) / complex(*before)))
         before = now
+        chunks += 1
+        if chunks % 20 and crossed < crossings:
+            continue
         momentum, angular, total = figures()
         momentum_error = max(momentum_error, float(np.abs(momentum - start[0]).max()))
         turns.append(angle / (2.0 * np.pi))
@@ -175,7 +178,7 @@ def run_tensile_bar(
         body,
         BAR,
         1.0,
-        _COURANT / BAR.pressure_wave_speed / stretch,  # the wave is faster in the stretched bar
+        min(_COURANT / stretch, scheme.courant_limit) / BAR.pressure_wave_speed,  # waves run faster once stretched
         edge_conditions=(
             symmetry("left"),
             symmetry("bottom"),
@@ -217,7 +220,7 @@ def draw_disk(disks: dict[str, SpinningDisk], path: Path) -> Path:
 
 def draw_bars(bars: dict[str, TensileBar], path: Path) -> Path:
     """Draw the stress over the stretch, and the points at the end."""
-    picture, panels = new_picture(len(bars) + 1, 1, height=3.0 + 1.5 * len(bars))
+    picture, panels = new_picture(len(bars) + 1, 1, height=3.2 + 1.0 * len(bars))
     stretch = np.linspace(1.0, STRETCH, 101)
     exact = np.array([uniaxial_stress(BAR, float(s))[0] for s in stretch])
     panels[0].plot(stretch, 1e-6 * exact, color=GREY, linewidth=3.0, alpha=0.5, label="closed form")
@@ -226,6 +229,7 @@ def draw_bars(bars: dict[str, TensileBar], path: Path) -> Path:
         panel.plot(bar.position[:, 0], bar.position[:, 1], ".", color=colour, markersize=2.5)
         panel.set_aspect("equal")
         panel.set_ylabel("y (cells)")
+        panel.set_yticks([0, 2])
         panel.set_title(f"{label}: points at stretch {STRETCH:g}", loc="left", fontsize=9)
         panel.set_xticks(np.arange(0, LONG * STRETCH + 1, 4))
     panels[0].set_title("Neo-Hookean bar in plane strain, pulled to twice its length")

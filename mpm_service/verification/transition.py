@@ -21,7 +21,7 @@ FloatArray = NDArray[np.float64]
 
 LAW = IsotropicElastic(1.0e9, 0.0, 1000.0, "plane_stress")
 #: Height of the bar in coarse cells (side one).
-HEIGHT = 4
+HEIGHT = 2
 #: Wavelengths in the burst, and from the driven end to the transition.
 CYCLES, APPROACH = 5, 7.5
 _STRAIN = 1.0e-6

@@ -91,7 +91,7 @@ def test_a_force_field_without_stated_cost_is_said_so() -> None:
     assert "unknown time" in describe(small("atomistic.force_field=homemade"))
 
 
-@pytest.mark.parametrize("name", ["graphene_crack", "graphene_patch"])
+@pytest.mark.parametrize("name", ["edge_crack", "graphene_crack", "graphene_patch"])
 def test_the_shipped_scenes_can_be_described(name: str) -> None:
     from coordinator.scene import load_scene
 

@@ -12,11 +12,13 @@ from xml.etree import ElementTree
 import matplotlib.image
 import numpy as np
 import pytest
-from fake_run import PEAK_STRAIN, SMALL_CRACK, write_fake_run
+from fake_run import PEAK_STRAIN, SCENES, SMALL_CRACK, write_fake_run
 
+from coordinator.display_units import ATOMIC, units_of
 from coordinator.field_figures import _bonds, applied_strain, inner_strain
 from coordinator.report import j_at_first_break, make_report
 from coordinator.results import Results, ResultsError, ResultsWriter
+from coordinator.scene import load_scene
 from coordinator.vtkhdf import von_mises
 
 VOID = {"meta", "img", "br", "link"}
@@ -187,3 +189,53 @@ def test_von_mises_of_simple_states() -> None:
     # uniaxial s, pure shear t, equal biaxial s
     states = np.array([[2.0, 0.0, 0.0], [0.0, 0.0, 1.0], [3.0, 3.0, 0.0]])
     np.testing.assert_allclose(von_mises(states), [2.0, np.sqrt(3.0), 3.0], rtol=1e-14)
+
+
+def test_a_continuum_alone_is_told_in_engineering_units(tmp_path: Path) -> None:
+    """Cracks of the continuum: their tips are drawn, their growth is the headline, their events are listed."""
+    folder = write_fake_run(tmp_path, "edge_crack", ("run.steps=60",), steps=60, frames=3, status="running")
+    with Results(folder / "results.h5") as results:
+        header = {
+            "scene": results.scene, "versions": results.versions, "seeds": results.seeds, "command": results.command,
+        }  # fmt: skip
+        series, steps = results.series, results.step
+        frame = results.points.frame(2) if results.points else None
+    assert frame is not None
+    writer = ResultsWriter(folder / "results.h5", header)
+    for row, step in enumerate(steps[1:], 1):
+        grown = 0.25e-3 * max(0, row - 40)
+        tip = {"length": 6e-3 + grown, "j": 2.5 * row, "k_1": 1e4 * row, "k_2": 10.0, "x": 5e-3, "y": 0.0}
+        writer.row(
+            int(step),
+            {**{name: values[row] for name, values in series.items()}, **{f"tip_0_1_{k}": v for k, v in tip.items()}},
+        )
+        if row > 40:
+            writer.event(int(step), {"kind": "growth", "step": row, "sentence": f"step {row}: the crack grew <again>"})
+    for step in (0, 60):
+        writer.points_frame(
+            step, step * 2e-7, frame.position, frame.displacement, frame.velocity, frame.stress, frame.weight
+        )
+    writer.close("finished")
+    text, page = _page(folder)
+    assert "The crack grew by 5\u00a0mm." in text
+    assert "Crack tips in the continuum" in page.titles
+    assert any(re.fullmatch(r"Stress along y, the whole body, 12 µs", title) for title in page.titles), page.titles
+    assert "12 µs" in text and "Å" not in text and " eV" not in text
+    assert "Events" in page.headings and "All 20 are in results.h5" in text
+    assert text.count("the crack grew &lt;again&gt;") == 20
+    others = text[text.index("Other series") :]
+    assert "x of the crack tip, crack 0, last end" in others and "dynamic J-integral" not in others
+
+
+@pytest.mark.parametrize(
+    ("overrides", "length", "time"),
+    [
+        ((), "mm", "µs"),
+        (("continuum.upper.0=0.5 mm", "continuum.lower.1=-0.5 mm", "continuum.upper.1=0.5 mm"), "µm", "µs"),
+        (("run.steps=60000",), "mm", "ms"),
+    ],
+)  # fmt: skip
+def test_units_fit_the_scene(overrides: tuple[str, ...], length: str, time: str) -> None:
+    units = units_of(load_scene(SCENES / "edge_crack.toml", overrides))
+    assert (units.length[1], units.time[1], units.stress[1]) == (length, time, "MPa")
+    assert units_of(load_scene(SCENES / "graphene_crack.toml")) is ATOMIC

@@ -17,6 +17,7 @@ from fake_run import SMALL_CRACK, write_fake_run
 from coordinator import results as results_module
 from coordinator.results import Results, ResultsError, ResultsWriter
 from coordinator.scene import read_resolved
+from coordinator.series import series_of
 
 HEADER = {
     "scene": {"name": "s", "title": "S", "text": "x", "overrides": ["a=1"], "resolved": {"a": 1}},
@@ -280,3 +281,107 @@ def test_the_scene_can_be_read_back_from_results(tmp_path: Path) -> None:
         scene = read_resolved(results.scene["resolved"], results.scene["name"])
     assert scene.model_dump(mode="json") == results.scene["resolved"]
     assert scene.continuum.lower == pytest.approx((-102.5e-10, -92.5e-10))
+
+
+def _grown(writer: ResultsWriter, step: int, count: int) -> np.ndarray:
+    """Add a frame of `count` points; the first ones are those of every frame."""
+    place = np.column_stack([np.arange(count), np.full(count, step), np.zeros(count)]) * 1e-9
+    writer.row(step, {"time": step * 1e-15})
+    writer.points_frame(
+        step,
+        step * 1e-15,
+        place,
+        place * 0.1,
+        place * 1e12,
+        np.full((count, 3), step * 1e9),
+        np.arange(1, count + 1) / 10,
+    )
+    return place
+
+
+COUNTS = (4, 4, 6, 6, 9)
+
+
+def test_points_that_are_split_are_written_and_read(tmp_path: Path) -> None:
+    writer = ResultsWriter(tmp_path / "results.h5", HEADER)
+    places = []
+    for step, count in enumerate(COUNTS):
+        places.append(_grown(writer, step, count))
+        writer.flush()
+    with Results(tmp_path / "results.h5") as results:
+        assert results.points is not None
+        for step, place in enumerate(places):
+            frame = results.points.frame(step)
+            np.testing.assert_allclose(frame.position, place, rtol=1e-6)
+            np.testing.assert_allclose(frame.velocity, place * 1e12, rtol=1e-6)
+            np.testing.assert_allclose(frame.weight, np.arange(1, len(place) + 1) / 10, rtol=1e-6)
+    with h5py.File(tmp_path / "results.h5") as file:
+        # As VTK 9.7 was seen to read it: one part for each number of points, `Offsets` one longer than its cells.
+        root, steps = file["VTKHDF"], file["VTKHDF/Steps"]
+        assert root["NumberOfPoints"][:].tolist() == [4, 6, 9]
+        assert steps["PartOffsets"][:].tolist() == [0, 0, 1, 1, 2]
+        assert steps["PointOffsets"][:].tolist() == [0, 4, 8, 14, 20]
+        assert steps["CellOffsets"][:, 0].tolist() == [0, 0, 4, 4, 10]
+        assert steps["ConnectivityIdOffsets"][:, 0].tolist() == [0, 0, 4, 4, 10]
+        assert steps["PointDataOffsets/Weight"][:].tolist() == [0, 0, 4, 4, 10]
+        vertices = root["Vertices"]
+        assert vertices["Offsets"][:].tolist() == [*range(5), *range(7), *range(10)]
+        assert vertices["Connectivity"][:].tolist() == [*range(4), *range(6), *range(9)]
+        assert root["Lines/NumberOfCells"][:].tolist() == [0, 0, 0]
+    writer = ResultsWriter(tmp_path / "fewer.h5", HEADER)
+    _grown(writer, 0, 4)
+    _grown(writer, 1, 3)
+    with pytest.raises(ValueError, match="step 1 has 3 points, the frame before has 4"):
+        writer.flush()
+
+
+@pytest.mark.parametrize("back_to", [0, 1, 2, 3, 4])
+def test_resume_after_points_were_split(tmp_path: Path, back_to: int) -> None:
+    whole, broken = tmp_path / "whole.h5", tmp_path / "broken.h5"
+    for path in (whole, broken):
+        writer = ResultsWriter(path, HEADER)
+        for step, count in enumerate(COUNTS):
+            _grown(writer, step, count)
+            writer.event(step, {"kind": "points_lost", "step": step, "count": count})
+        writer.close("finished")
+    writer = ResultsWriter.resume(broken, back_to)
+    for step in range(back_to + 1, len(COUNTS)):
+        _grown(writer, step, COUNTS[step])
+        writer.event(step, {"kind": "points_lost", "step": step, "count": COUNTS[step]})
+    writer.close("finished")
+    one, other = _snapshot(whole), _snapshot(broken)
+    assert one.keys() == other.keys()
+    for name, value in one.items():
+        np.testing.assert_array_equal(value, other[name], err_msg=name)
+    with Results(broken) as results:
+        assert [event["count"] for event in results.events] == list(COUNTS)
+
+
+@pytest.mark.parametrize(
+    ("extent", "length", "time"),
+    [(2e-8, "Angstrom", "ps"), (4e-6, "Angstrom", "ps"), (3e-5, "um", "ns"), (5e-2, "mm", "us"), (40.0, "m", "s")],
+)
+def test_units_of_the_points_fit_the_body(tmp_path: Path, extent: float, length: str, time: str) -> None:
+    writer = ResultsWriter(tmp_path / "results.h5", HEADER)
+    place = np.array([[0.0, 0.0, 0.0], [extent, 0.0, 0.0]])
+    writer.points_frame(0, 1e-6, place, place, place, np.zeros((2, 3)), np.ones(2))
+    writer.close("finished")
+    with h5py.File(tmp_path / "results.h5") as file:
+        root = file["VTKHDF"]
+        assert root["Points"].attrs["unit"] == root["PointData/Displacement"].attrs["unit"] == length
+        assert root["PointData/Velocity"].attrs["unit"] == f"{length}/{time}"
+        assert root["Steps/Values"].attrs["unit"] == time
+    with Results(tmp_path / "results.h5") as results:
+        assert results.points is not None
+        frame = results.points.frame(0)
+        np.testing.assert_allclose(frame.position, place, rtol=1e-6)
+        np.testing.assert_allclose(frame.velocity, place, rtol=1e-6)
+        assert frame.time == pytest.approx(1e-6, rel=1e-12)
+
+
+def test_series_of_a_crack_tip_have_unit_and_meaning() -> None:
+    known = series_of("tip_1_0_j")
+    assert known.unit == "J/m^2"
+    assert known.description == "dynamic J-integral, crack 1, first end"
+    assert series_of("tip_0_1_x").unit == "m"
+    assert series_of("tip_0_2_x").unit == ""

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scipy.integrate import quad
 from mpm_service import BodyForce, Grid, IsotropicElastic, MaterialPointSolver, Scheme, fill_rectangle, relax
 from mpm_service.boundary_set import BoundarySet
 from mpm_service.conditions import FACES, EdgeCondition, NodeCondition, face_axis, face_sign, symmetry
+from mpm_service.scheme import Integration, Interpolation, Transfer
 from mpm_service.time_functions import Constant, Ramp, Schedule, Sine, Step, Table
 from mpm_service.velocity_fields import FieldMap
 
@@ -220,7 +222,8 @@ def random_tables(grid: Lattice, rng: np.random.Generator, extra: int = 0) -> tu
     ("dimension", "faces"),
     [(2, ["left", "top"]), (2, ["bottom", "right", "top"]), (3, ["left", "top", "front"]), (3, list(FACES))],
 )
-def test_momentum_and_energy_balance_of_a_step(dimension: int, faces: list[str]) -> None:
+@pytest.mark.parametrize("splines", [False, True])
+def test_momentum_and_energy_balance_of_a_step(splines: bool, dimension: int, faces: list[str]) -> None:
     """Gain of momentum is force plus reaction, gain of energy their work, corners and edges of faces included."""
     grid = GRIDS[dimension]
     lower, upper = BODY[dimension]
@@ -230,7 +233,7 @@ def test_momentum_and_energy_balance_of_a_step(dimension: int, faces: list[str])
         for face in faces:
             displacements = 0.13 + 0.001 * rng.normal(size=4)
             conditions.append(EdgeCondition(face, component, (0.0, DT, 2 * DT, 3 * DT), displacements))  # type: ignore[arg-type]
-    boundary = BoundarySet(conditions, grid, lower, upper, DT)
+    boundary = BoundarySet(conditions, grid, lower, upper, DT, splines=splines)
     boundary.locate(1)
     momentum, motion = random_tables(grid, rng)
     before = motion.copy()
@@ -370,7 +373,8 @@ def test_empty_nodes_are_left_alone_and_a_face_without_inner_node_moves_as_one()
     np.testing.assert_array_equal(motion[~on_face], before[~on_face])
 
 
-def test_extra_velocity_fields_are_constrained_like_the_first() -> None:
+@pytest.mark.parametrize("splines", [False, True])
+def test_extra_velocity_fields_are_constrained_like_the_first(splines: bool) -> None:
     """A second and third field with the state of another body moves as that body would alone."""
     lower, upper = BODY[2]
     rng = np.random.default_rng(9)
@@ -388,7 +392,7 @@ def test_extra_velocity_fields_are_constrained_like_the_first() -> None:
     reactions = []
     for momentum, motion in alone:
         result = motion.copy()
-        boundary = BoundarySet(edges, PLANE, lower, upper, DT)
+        boundary = BoundarySet(edges, PLANE, lower, upper, DT, splines=splines)
         boundary.accelerate(momentum, result)
         expected.append(result)
         reactions.append(boundary.reaction.copy())
@@ -397,7 +401,7 @@ def test_extra_velocity_fields_are_constrained_like_the_first() -> None:
     for which in (1, 2):
         extra = fields.base + (which - 1) * fields.capacity + near[chosen]
         momentum[extra], motion[extra] = alone[which][0][chosen], alone[which][1][chosen]
-    boundary = BoundarySet(edges, PLANE, lower, upper, DT)
+    boundary = BoundarySet(edges, PLANE, lower, upper, DT, splines=splines)
     boundary.locate(0, fields)
     boundary.accelerate(momentum, motion)
     np.testing.assert_array_equal(motion[:rows], expected[0])
@@ -427,7 +431,7 @@ def test_restart_inside_a_block_gives_the_same_numbers() -> None:
 # ---- with the solver -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("interpolation", ["ugimp", "linear", "cpgimp"])
+@pytest.mark.parametrize("interpolation", get_args(Interpolation))
 def test_uniform_stretch_is_exact_up_to_driven_faces(interpolation: str) -> None:
     """One step between faces driven apart, in the body's first and last points too."""
     law = IsotropicElastic(1e9, 0.3, 1000.0, "plane_strain")
@@ -454,6 +458,41 @@ def test_uniform_stretch_is_exact_up_to_driven_faces(interpolation: str) -> None
     expected = np.tile([[1e-6, 0.0], [0.0, 0.0]], (body.count, 1, 1))
     gradient = solver.points.deformation_gradient - np.eye(2)
     np.testing.assert_allclose(gradient, expected, atol=1e-13)
+
+
+@pytest.mark.parametrize("transfer", get_args(Transfer))
+@pytest.mark.parametrize("integration", get_args(Integration))
+def test_patch_of_splines_is_exact_with_faces_on_nodes(integration: Integration, transfer: Transfer) -> None:
+    """A block stretched between four faces keeps an even strain, with the stress and reactions that belong to it."""
+    law = IsotropicElastic(2.0, 0.3, 1.0, "plane_strain")
+    exx, eyy, thickness = 1e-12, -4e-13, 0.5  # per second, so small that faces stay on their nodes
+    scheme = Scheme("bspline", integration, transfer, 3)
+    solver = MaterialPointSolver(
+        Grid((-3.0, -3.0), 1.0, (14, 11)),
+        fill_rectangle((0.0, 0.0), (8.0, 5.0), 1.0),
+        law,
+        thickness,
+        0.5 * scheme.courant_limit / law.pressure_wave_speed,
+        [
+            EdgeCondition("left", 0, velocities=Constant(-3.0 * exx)),
+            EdgeCondition("right", 0, velocities=Constant(5.0 * exx)),
+            EdgeCondition("bottom", 1, velocities=Constant(0.0)),
+            EdgeCondition("top", 1, velocities=Constant(5.0 * eyy)),
+        ],
+        initial_velocity_gradient=[[exx, 0.0], [0.0, eyy]],
+        scheme=scheme,
+    )
+    solver.set_velocity((solver.points.reference_position - [3.0, 0.0]) * [exx, eyy])
+    solver.advance(40)
+    strain = np.array([exx, eyy]) * solver.time
+    gradient = solver.points.displacement_gradient
+    np.testing.assert_allclose(gradient, np.tile(np.diag(strain), (gradient.shape[0], 1, 1)), atol=1e-10 * strain[0])
+    stress = law.lame * strain.sum() + 2.0 * law.shear_modulus * strain
+    np.testing.assert_allclose(solver.points.stress[:, :2], np.tile(stress, (gradient.shape[0], 1)), rtol=1e-10)
+    # The last forces were those of the stress before the last step, after it (USF), or half way (USAVG).
+    lag = {"usf": 0.0, "usavg": 0.5}.get(integration, 1.0) * solver.time_step / solver.time
+    pull = (1.0 - lag) * thickness * stress * [5.0, 8.0]
+    np.testing.assert_allclose(solver.edge_reaction, [-pull[0], pull[0], -pull[1], pull[1]], rtol=1e-10)
 
 
 def test_supports_of_nodes_carry_the_weight() -> None:

@@ -1,4 +1,4 @@
-"""Points and grid: lattice against tabulated sweeps, threads, domains wider than a cell, shifted origins, lost points."""
+"""Points and grid: lattice and tabulated sweeps, threads, domains wider than a cell, shifted origins, lost points."""
 
 from collections.abc import Sequence
 from itertools import product
@@ -18,6 +18,7 @@ from mpm_service import (
     SolverError,
     Traction,
     fill_rectangle,
+    mapping,
     ordering,
     symmetry,
 )
@@ -52,7 +53,9 @@ def make_irregular(monkeypatch: pytest.MonkeyPatch, share: float = 1.0) -> None:
     """Let points be irregular near a share of all nodes."""
     sort = ordering.sort_points
 
-    def sort_behind(rows: Any, ids: Any, row_of: Any, alive: Any, columns: Any, levels: Any, special: Any, *a: Any) -> Any:
+    def sort_behind(
+        rows: Any, ids: Any, row_of: Any, alive: Any, columns: Any, levels: Any, special: Any, *a: Any
+    ) -> Any:
         special[: round(share * special.size)] = 1
         return sort(rows, ids, row_of, alive, columns, levels, special, *a)
 
@@ -65,7 +68,10 @@ def make_irregular(monkeypatch: pytest.MonkeyPatch, share: float = 1.0) -> None:
 def test_lattice_and_tabulated_sweeps_agree(
     interpolation: Interpolation, integration: Integration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    edges = [EdgeCondition("bottom", 1, (0.0, 1.0), (0.0, 0.01 * C)), EdgeCondition("left", 0, (0.0, 1.0), (0.0, 0.02 * C))]
+    edges = [
+        EdgeCondition("bottom", 1, (0.0, 1.0), (0.0, 0.01 * C)),
+        EdgeCondition("left", 0, (0.0, 1.0), (0.0, 0.02 * C)),
+    ]
     loads = [Traction("right", (1e5, 2e4))]
     for transfer, order in TRANSFERS:
         scheme = Scheme(interpolation, integration, transfer, order, period=2)  # type: ignore[arg-type]
@@ -82,11 +88,16 @@ def test_lattice_and_tabulated_sweeps_agree(
 
 
 @pytest.mark.parametrize("interpolation", get_args(Interpolation))
-def test_two_threads_agree_with_one(interpolation: Interpolation) -> None:
+def test_two_threads_agree_with_one(interpolation: Interpolation, monkeypatch: pytest.MonkeyPatch) -> None:
     """12000 points in three chunks and many strips; they travel over a cell between the first and the last sort."""
+    monkeypatch.setattr(mapping, "WORTH_SHARING", 1)
     body = fill_rectangle((0.0, 0.0), (60.0, 50.0), 1.0, 2)
     grid = Grid((-3.37, -3.21), 1.0, (68, 58))
-    for scheme in (Scheme(interpolation), Scheme(interpolation, "usavg", "flip"), Scheme(interpolation, "usl", "xpic", 2)):
+    for scheme in (
+        Scheme(interpolation),
+        Scheme(interpolation, "usavg", "flip"),
+        Scheme(interpolation, "usl", "xpic", 2),
+    ):
         runs = [shaken(body, scheme, grid, (0.35, 0.3), threads=threads) for threads in (1, 2)]
         for run in runs:
             run.advance(30)
@@ -98,6 +109,7 @@ def test_two_threads_with_irregular_points_agree_with_one(monkeypatch: pytest.Mo
     body = fill_rectangle((0.0, 0.0), (60.0, 50.0), 1.0, 2)
     grid = Grid((-3.37, -3.21), 1.0, (68, 58))
     make_irregular(monkeypatch, 0.4)
+    monkeypatch.setattr(mapping, "WORTH_SHARING", 1)
     runs = [shaken(body, Scheme("cpgimp"), grid, threads=threads) for threads in (1, 2)]
     for run in runs:
         assert 4096 < run._mapping.regular < 0.8 * body.count
@@ -188,9 +200,7 @@ def test_stretched_domains_under_their_own_traction_stay_at_rest() -> None:
 def test_domain_wider_than_four_cells_is_a_solver_error() -> None:
     body = fill_rectangle((0.0, 0.0), (1.0, 1.0), 1.0, 1)
     law = NeoHookean(1.0e9, 0.3, 1000.0)
-    solver = MaterialPointSolver(
-        Grid((-6.3, -6.2), 1.0, (14, 14)), body, law, 1.0, 0.1 / C, scheme=Scheme("cpgimp")
-    )
+    solver = MaterialPointSolver(Grid((-6.3, -6.2), 1.0, (14, 14)), body, law, 1.0, 0.1 / C, scheme=Scheme("cpgimp"))
     state = solver.state()
     state["rows"][:, HXX] = 4.2  # a domain of 5.2 cells touches more than six nodes in a row
     solver.restore(state)
@@ -282,7 +292,7 @@ def test_static_patch_test_wherever_the_origin_lies(interpolation: Interpolation
 
 #: Largest error of a point's stress over the stress, with the default scheme on the aligned grid and off it.
 #: The nodal velocity at a face is the mean over points on one side only, wherever a node's cell is cut by the face.
-DRIVEN = {"linear": (2e-6, None), "ugimp": (1e-7, 0.015), "cpgimp": (1e-13, 0.015), "bspline": (0.006, 0.05)}
+DRIVEN = {"linear": (2e-6, None), "ugimp": (1e-7, 0.015), "cpgimp": (1e-13, 0.015), "bspline": (1e-7, 0.002)}
 
 
 @pytest.mark.parametrize(
@@ -356,7 +366,7 @@ def test_vibration_does_not_depend_on_the_origin(interpolation: Interpolation) -
 
 @pytest.mark.parametrize("interpolation", get_args(Interpolation))
 def test_lost_points_are_counted_and_the_rest_goes_on(interpolation: Interpolation) -> None:
-    """A body thrown at the border at 45 degrees: what is within a cell of it at a sort is lost, the rest keeps speed."""
+    """A body thrown at the border at 45 degrees: what is within a cell of it at a sort is lost, the rest goes on."""
     body = fill_rectangle((0.0, 0.0), (6.0, 6.0), 1.0)
     grid = Grid((-2.3, -2.4), 1.0, (14, 14))
     solver = MaterialPointSolver(

@@ -257,7 +257,7 @@ def test_every_scheme_with_a_crack(interpolation: Interpolation, integration: In
 
 
 @pytest.mark.parametrize("integration", get_args(Integration))
-@pytest.mark.parametrize("interpolation", ["linear", "ugimp", "cpgimp"])
+@pytest.mark.parametrize("interpolation", get_args(Interpolation))
 def test_bar_pulled_evenly_stays_even(interpolation: Interpolation, integration: Integration) -> None:
     """Points that start with v = rate X keep it, so strain is rate t and the ends pull with E rate t A."""
     rate, young, height, thickness = 1e-12, 2.0, 3.0, 0.5

@@ -78,9 +78,7 @@ def test_hand_computed_table(
         at[axis] += beyond
         sides = np.zeros(grid.dimension)
         sides[axis] = half
-        node, weight, gradient = shape_functions(
-            grid, [grid.lower + grid.cell_size * at], sides * grid.cell_size, kind
-        )
+        node, weight, gradient = shape_functions(grid, [grid.lower + grid.cell_size * at], sides * grid.cell_size, kind)
         expected, slope = np.zeros(grid.cells[axis] + 1), np.zeros(grid.cells[axis] + 1)
         expected[first : first + len(weights)] = weights
         slope[first : first + len(slopes)] = np.array(slopes) / grid.cell_size
@@ -95,7 +93,15 @@ def test_hand_computed_table(
 @pytest.mark.parametrize("grid", [PLANE, SPACE])
 @pytest.mark.parametrize(
     ("kind", "half"),
-    [("linear", 0.0), ("ugimp", 0.5), ("ugimp", 0.25), ("ugimp", 1 / 6), ("cpgimp", 0.9), ("cpgimp", 1.7), ("bspline", 0.0)],
+    [
+        ("linear", 0.0),
+        ("ugimp", 0.5),
+        ("ugimp", 0.25),
+        ("ugimp", 1 / 6),
+        ("cpgimp", 0.9),
+        ("cpgimp", 1.7),
+        ("bspline", 0.0),
+    ],
 )
 def test_partition_of_unity_and_linear_completeness(grid: Grid, kind: Interpolation, half: float) -> None:
     place = random_places(grid, max(half, 0.5) + 0.01)
@@ -120,7 +126,8 @@ def test_averaged_values_are_samples_of_the_hat_over_the_domain() -> None:
                 continue
             x = PLANE.node_positions()[node[p, k]]
             hats = [
-                np.maximum(1.0 - np.abs(place[p, i] + half[p, i] * sample - x[i]) / PLANE.cell_size, 0.0) for i in (0, 1)
+                np.maximum(1.0 - np.abs(place[p, i] + half[p, i] * sample - x[i]) / PLANE.cell_size, 0.0)
+                for i in (0, 1)
             ]
             assert abs(weight[p, k] - hats[0].mean() * hats[1].mean()) < 1e-6
             ends = [max(0.0, 1.0 - abs(place[p, 0] + s * half[p, 0] - x[0]) / PLANE.cell_size) for s in (1.0, -1.0)]
@@ -128,16 +135,16 @@ def test_averaged_values_are_samples_of_the_hat_over_the_domain() -> None:
 
 
 def test_slivers_keep_all_their_digits() -> None:
-    """A domain that reaches over a cell line by e has the weight e^2 / 4l there and the slope e / 2l, however small e."""
-    l, line = 0.25, 5.0
+    """A domain that reaches over a cell line by e has the weight e^2 / 4 l there and the slope e / 2 l for any e."""
+    quarter, line = 0.25, 5.0
     for reach in (2.0**-10, 2.0**-25, 2.0**-40):
-        place = [PLANE.lower + 0.5 * np.array([line + 1.0 - l + reach, 4.5])]
+        place = [PLANE.lower + 0.5 * np.array([line + 1.0 - quarter + reach, 4.5])]
         node, weight, gradient = shape_functions(PLANE, place, 0.125)
         row = np.flatnonzero(node[0] % 13 == 7)
         assert row.size == 2
         round_off = 16.0 * 2.0**-52 / reach  # of the place itself
-        assert weight[0, row].sum() == pytest.approx(reach**2 / (4.0 * l), rel=round_off, abs=0.0)
-        assert gradient[0, row, 0].sum() == pytest.approx(reach / (2.0 * l) / 0.5, rel=round_off, abs=0.0)
+        assert weight[0, row].sum() == pytest.approx(reach**2 / (4.0 * quarter), rel=round_off, abs=0.0)
+        assert gradient[0, row, 0].sum() == pytest.approx(reach / (2.0 * quarter) / 0.5, rel=round_off, abs=0.0)
 
 
 def test_bspline_is_the_hat_averaged_over_a_whole_cell() -> None:
@@ -145,9 +152,7 @@ def test_bspline_is_the_hat_averaged_over_a_whole_cell() -> None:
         place = random_places(grid, 0.6)
         tables = [shape_functions(grid, place, 0.5 * grid.cell_size, kind) for kind in ("bspline", "ugimp")]
         for which in range(2):
-            ours, theirs = (
-                dense(grid, t[0], t[1] if which == 0 else t[2][:, :, grid.dimension - 1]) for t in tables
-            )
+            ours, theirs = (dense(grid, t[0], t[1] if which == 0 else t[2][:, :, grid.dimension - 1]) for t in tables)
             np.testing.assert_allclose(ours, theirs, atol=3e-14)
 
 
@@ -159,7 +164,9 @@ def test_shifted_grid_has_the_same_functions(kind: Interpolation) -> None:
     here = shape_functions(PLANE, place[150:], 0.2, kind)
     there = shape_functions(moved, place[150:] + shift, 0.2, kind)
     np.testing.assert_allclose(dense(PLANE, *there[:2]), dense(PLANE, *here[:2]), atol=2e-14)
-    np.testing.assert_allclose(dense(PLANE, there[0], there[2][:, :, 1]), dense(PLANE, here[0], here[2][:, :, 1]), atol=2e-12)
+    np.testing.assert_allclose(
+        dense(PLANE, there[0], there[2][:, :, 1]), dense(PLANE, here[0], here[2][:, :, 1]), atol=2e-12
+    )
 
 
 # The compiled sweeps, one point at a time.

@@ -377,7 +377,15 @@ class TakesAnyTimeStep(ToyContinuum):
         return super().configure(request.model_copy(update={"time_step": min(request.time_step, 1e-13)}))
 
 
+class RefusesWithoutSayingWhat(ToyContinuum):
+    def configure(self, request: c.ContinuumConfigure) -> c.ContinuumConfigured:
+        if request.force_scaling:
+            raise ProtocolError("unsupported", "something in there is not for this service")
+        return super().configure(request)
+
+
 BROKEN: list[tuple[str, type]] = [
+    ("kinds: force scaling", RefusesWithoutSayingWhat),
     ("hello: ranges that do not meet", WrongVersionTaken),
     ("hello: another role", AnyRole),
     ("hello: is answered", WrongUnits),

@@ -17,9 +17,10 @@ import numpy as np
 from protocol import atomistic as a
 from protocol import continuum as c
 from protocol.errors import ProtocolError
-from protocol.messages import CheckpointReply, Empty, FieldsReply, FieldsRequest, Restored, RestoreRequest
+from protocol.messages import CheckpointReply, Empty, FieldsReply, FieldsRequest, Restored, RestoreRequest, newer_fields
 from protocol.server import Server
 from protocol.service import Capabilities, Service
+from protocol.version import Version
 
 #: Most steps of one request, so that a fuzzed message cannot keep a test waiting.
 MOST_STEPS = 10_000_000
@@ -110,6 +111,10 @@ class ToyContinuum(Toy):
         return {"fields": list(self.own_fields), "dimension": 2}
 
     def configure(self, request: c.ContinuumConfigure) -> c.ContinuumConfigured:
+        for field in newer_fields(request, Version(1, 0)):
+            if field != "scheme":
+                raise ProtocolError("unsupported", f"{field}: this toy knows nothing of it", field=field)
+        assert isinstance(request.material, c.IsotropicMaterial)
         lower, upper = np.array(request.body.lower), np.array(request.body.upper)
         with np.errstate(over="ignore"):
             cells = np.round((upper - lower) / request.cell_size)
@@ -193,7 +198,7 @@ class ToyContinuum(Toy):
             state["sums"][0] += step * (force * state["velocity"]).sum()
 
         self.steps(request.steps, one)
-        edges = self.request.edges
+        edges = [edge for edge in self.request.edges if isinstance(edge, c.EdgeCondition)]
         now = self.step * step
         return c.ContinuumAdvanced(
             step=self.step,

@@ -13,6 +13,7 @@ from small_runs import SHORT, STEPS, StartsRuns
 from coordinator.kill_resume import END_SECONDS, RUN_SECONDS, SCENE
 from coordinator.results import Results
 
+ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.timeout(300)
 
 
@@ -120,3 +121,31 @@ def test_constants_of_the_continuum_are_measured_where_the_scene_gives_none(star
     # Tersoff (BNC) graphene at 0 K, thickness 3.35 angstrom: measured once by hand with LAMMPS alone.
     assert header["properties"]["young"] == pytest.approx(1054e9, rel=5e-3)
     assert header["properties"]["lattice_constant"] == pytest.approx(1.4388e-10, rel=1e-3)
+
+
+def test_a_crack_of_the_continuum_is_measured_grows_and_resumes_the_same(start: StartsRuns, tmp_path: Path) -> None:
+    """The scene with a growing crack, small and fast; cut in two by --resume it gives the same rows and events."""
+    small = [
+        "continuum.cell_size=1 mm", "continuum.time_step=0.4 us", "run.output_every=50", "run.checkpoint_every=35",
+        "continuum.cracks.0.growth.critical_energy_release_rate=2 J/m^2", "run.stop_after_crack_growth=2 mm",
+    ]  # fmt: skip
+    scene = ROOT / "scenes" / "edge_crack.toml"
+    folders = {}
+    for name, lengths in (("whole", (150,)), ("parts", (95, 150))):
+        folders[name] = tmp_path / name
+        for number, steps in enumerate(lengths):
+            words = [word for value in (*small, f"run.steps={steps}") for word in ("--set", value)]
+            run = start(scene, folders[name], *words, *(["--resume"] if number else []))
+            assert run.wait(RUN_SECONDS) == 0, run.printed
+    with Results(folders["whole"] / "results.h5") as one, Results(folders["parts"] / "results.h5") as two:
+        assert len(one.step) < 150, "the run ends when the crack has grown"
+        assert [event["kind"] for event in one.events] == ["growth"] * 4
+        assert one.events == two.events
+        for name in one.series.keys() - {"seconds_continuum", "seconds_exchange"}:
+            assert np.array_equal(one.series[name], two.series[name], equal_nan=True), name
+        release = one.series["tip_0_1_j"]
+        assert np.isnan(release[:9]).all() and np.isfinite(release[9:]).all()
+        assert one.units["tip_0_1_j"] == "J/m^2"
+    summary = json.loads((folders["parts"] / "summary.json").read_text())
+    assert summary["measures"]["crack_growth"] == pytest.approx(2e-3)
+    assert "the crack grew by 2 mm" in summary["reason"] and len(summary["events"]) == 4
