@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from .contact import press_faces
-from .crack_ends import cut_line, find_joints, has_material_ahead
+from .crack_ends import cut_line, end_of, find_joints, has_material_ahead
 from .crack_faces import Markers, empty_markers, fit_faces, move_faces, place_markers, tie_loose_faces
 from .crack_line import Contact, Crack, check_line, meeting, nearest_on_line, push_left, unit_tangent
 from .errors import SolverError
@@ -167,11 +167,12 @@ class CrackSet:
         lines, cracks = self._lines, range(len(self._lines))
         self._joints, met = find_joints(lines, self._cell_at, 4.0 * (self.reach + _SLACK))
         cut = [cut_line(lines[c], [(c, e) not in met for e in range(2)], self._cell_at) for c in cracks]
-        self._vertex = np.ascontiguousarray(np.concatenate(cut))
         self._vertex_start = np.concatenate([[0], np.cumsum([c.shape[0] for c in cut])]).astype(np.int64)
         # A point on a line counts as left of it; a copy, since the faces must follow the points as they are.
         self._reference = self._stated.copy()
-        for line in lines:
+        ahead = self._find_tips(cut, met)
+        self._vertex = np.ascontiguousarray(np.concatenate(ahead))
+        for line in ahead:
             push_left(self._reference, line, 0, line.shape[0] - 1, NUDGE * float(self._cell_at(line).min()))
         markers = empty_markers([place_markers(line, self._cell_at) for line in lines], self._cell_at)
         chosen = np.ones(markers.reference.shape[0], dtype=bool)
@@ -185,17 +186,29 @@ class CrackSet:
                     (markers.count, old.count),
                 ):
                     table[m] = source[before]
-        self._tip_marker = {
-            (c, e): int(markers.start[c + e]) - e
-            for c in cracks
-            for e in range(2)
-            if (c, e) not in met and has_material_ahead(lines[c], e, self._stated, self._tree, self._cell_at)
-        }
+        self._tip_marker = {(c, e): int(markers.start[c + e]) - e for c, e in self._tip_ends}
         tips = set(self._tip_marker.values())
         fit_faces(markers, np.flatnonzero(chosen), tips, self._tree, self._reference, cut)
         tie_loose_faces(markers)
         self._markers = markers
         self._line = np.empty_like(markers.reference)
+
+    def _find_tips(self, cut: list[FloatArray], met: set[tuple[int, int]]) -> list[FloatArray]:
+        """Find the ends that are tips; return the cut lines, each going on straight for a cell ahead of its tips."""
+        ahead = [line.copy() for line in cut]
+        self._tip_ends = [
+            (c, e)
+            for c, line in enumerate(self._lines)
+            for e in range(2)
+            if (c, e) not in met and has_material_ahead(line, e, self._stated, self._tree, self._cell_at)
+        ]
+        self._tips = np.zeros((len(cut), 2, 5))
+        for c, e in self._tip_ends:
+            place, _, out = end_of(self._lines[c], e)
+            cell = float(self._cell_at(place[None])[0])
+            self._tips[c, e] = (*place, *out, 1.0 / cell)
+            ahead[c][-e] = place + cell * out
+        return ahead
 
     def _list_nodes(self) -> None:
         """Find the near nodes around the markers at ``_found``, and their pairs with cracks."""
@@ -257,7 +270,14 @@ class CrackSet:
             mark_around(self._grid, self._found, self.reach + _SLACK + _TRAVEL, False, mask)
 
     def assign_fields(
-        self, ids: IntArray, first: int, last: int, stencil_node: IntArray, stencil_count: IntArray
+        self,
+        ids: IntArray,
+        first: int,
+        last: int,
+        stencil_node: IntArray,
+        stencil_weight: FloatArray,
+        stencil_gradient: FloatArray,
+        stencil_count: IntArray,
     ) -> None:
         """Replace the nodes of points' stencils by the rows of the velocity fields that the points use there.
 
@@ -267,7 +287,8 @@ class CrackSet:
             Id of the point in each row of the point table.
         first, last : int
             Rows to do; entry ``i - first`` of the stencils belongs to row i.
-        stencil_node : (last - first, K) ndarray of int
+        stencil_node, stencil_weight, stencil_gradient : (last - first, K), the same, (last - first, K, 2) ndarray
+            With room for twice the nodes of a point: an entry that passes a tip is divided between two fields.
         stencil_count : (last - first,) ndarray of int
 
         Raises
@@ -276,19 +297,34 @@ class CrackSet:
             If a node needs more than three velocity fields.
         """
         if self.cracks:
-            self._assign(self._reference, ids, first, last, stencil_node, stencil_count)
+            table = (stencil_node, stencil_weight, stencil_gradient, stencil_count)
+            self._assign(self._reference, ids, first, last, *table)
 
     def assign_fields_at(self, reference: ArrayLike, stencil_node: IntArray, stencil_count: IntArray) -> None:
-        """As ``assign_fields``, for material at the reference places (m, 2) [m]: anchors, loads."""
+        """As ``assign_fields``, for material at the reference places (m, 2) [m]: anchors, loads.
+
+        Nothing is divided: at a tip the field with the larger share counts.
+        """
         if not self.cracks:
             return
         place = np.ascontiguousarray(reference, dtype=np.float64)
         count = place.shape[0]
         if self._identity.size < count:
             self._identity = np.arange(2 * count, dtype=np.int64)
-        self._assign(place, self._identity, 0, count, stencil_node, stencil_count)
+        whole = np.zeros((count, 0)), np.zeros((count, 0, 2))
+        self._assign(place, self._identity, 0, count, stencil_node, *whole, stencil_count)
 
-    def _assign(self, place: FloatArray, ids: IntArray, first: int, last: int, node: IntArray, count: IntArray) -> None:
+    def _assign(
+        self,
+        place: FloatArray,
+        ids: IntArray,
+        first: int,
+        last: int,
+        node: IntArray,
+        weight: FloatArray,
+        gradient: FloatArray,
+        count: IntArray,
+    ) -> None:
         over = assign_fields(
             place,
             ids,
@@ -298,10 +334,13 @@ class CrackSet:
             self.field_map.base,
             self._capacity,
             self._vertex,
+            self._tips,
             self._pairs,
             self._joints,
             self._pattern,
             node,
+            weight,
+            gradient,
             count,
         )
         if over >= 0:

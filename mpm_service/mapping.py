@@ -100,7 +100,8 @@ class Mapping:
         ]
         self._regular_half = half if isinstance(shape, UniformShape | ConvectedShape) else 0.0
         self._widest = _NEARLY_WIDE if isinstance(shape, ConvectedShape) else 0.0
-        self._stencil_width = self._entries(dimension)
+        # At a crack's tip an entry may be divided between two velocity fields.
+        self._stencil_width = self._entries(dimension) * (2 if cracks is not None else 1)
         self._voigt = stencils.VOIGT[dimension]
         self._cracks = cracks
         self._mark = np.zeros(table_rows, dtype=np.uint8)
@@ -205,7 +206,9 @@ class Mapping:
                 tuple(place.tolist()),
             )
         if self._cracks is not None:
-            self._cracks.assign_fields(self.points.ids, first, last, table.node, table.entries)
+            self._cracks.assign_fields(
+                self.points.ids, first, last, table.node, table.weight, table.gradient, table.entries
+            )
         self._list(table.node, table.entries)
 
     def _half_widths(self, first: int, last: int) -> FloatArray:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from .crack_line import Crack
 from .cracks import Tip
 from .grid import Grid
+from .velocity_fields import TIP_BACK, TIP_WIDTH
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -52,6 +53,8 @@ class _Line:
         left = (place - self.ends[0]) @ self.normal >= 0.0
         anything = np.ones(left.size, dtype=bool)
         self.tips = [end for end in range(2) if self._is_tip(points, end)]
+        for end in self.tips:  # a way past a tip crosses the crack for a share
+            self.cut[end] = self.ends[end] + (1.0 if end else -1.0) * cell * self.tangent
         self.factors = np.zeros((2, count, points.shape[0]))
         for m, marker in enumerate(self.markers):
             tip = (m == 0 and 0 in self.tips) or (m == count - 1 and 1 in self.tips)
@@ -146,6 +149,15 @@ class _Line:
         sides = (_cross(b - a, start - a) >= 0.0) != (_cross(b - a, end - a) >= 0.0)
         return sides & ((_cross(end - start, a - start) >= 0.0) != (_cross(end - start, b - start) >= 0.0))
 
+    def share(self, start: FloatArray, end: FloatArray) -> FloatArray:
+        """Share of the way between two places that crosses the crack: less than one past a tip."""
+        share = np.where(self.crossed(start, end), 1.0, 0.0)
+        counts = start + (end - start) / 3.0
+        for tip in self.tips:
+            ahead = (counts - self.ends[tip]) @ self.tangent * (1.0 if tip else -1.0) / self.cell
+            share = np.minimum(share, np.maximum(0.0, 0.5 - (ahead + TIP_BACK) / TIP_WIDTH))
+        return share
+
 
 class StraightCracks:
     """Cracks of one straight segment each, clear of one another, whose faces do not rub.
@@ -196,12 +208,17 @@ class StraightCracks:
                 found.append(Tip(number, end, now[at], line.ends[end].copy(), out, sign * line.tangent, length))
         return found
 
-    def fields(self, reference: FloatArray, node: IntArray) -> IntArray:
-        """Field that material at reference places (n, 2) uses at its nodes (n, k)."""
-        field = np.zeros_like(node)
+    def fields(self, reference: FloatArray, node: IntArray, least: float) -> tuple[IntArray, FloatArray]:
+        """Field that material at reference places (n, 2) uses at its nodes (n, k), and the share it has there.
+
+        The rest belongs to field 0. Shares of less than `least` count as none.
+        """
+        field, rest = np.zeros_like(node), np.ones(node.shape)
         for number, (line, (place, *_)) in enumerate(zip(self.lines, self._beside, strict=True)):
-            field |= line.crossed(line.clear(reference)[:, None], place[node]).astype(np.int64) << number
-        return field
+            share = line.share(line.clear(reference)[:, None], place[node])
+            field |= (share >= least).astype(np.int64) << number
+            rest = np.where(share >= least, np.minimum(rest, share), rest)
+        return field, rest
 
     def press(self, mass: FloatArray, velocity: FloatArray, time_step: float) -> FloatArray:
         """Return velocities (R, 2) under which no gap closes by more than itself within a step.

@@ -235,22 +235,23 @@ class ReferenceStep:
             half *= np.linalg.norm(self._gradient() + np.eye(self._dimension), axis=2)
             half = np.minimum(half, np.minimum(xi, np.asarray(self.grid.cells) - xi))  # stay in the grid
         node, weight, slope = shape_functions(xi, half, self.scheme.interpolation, self._node_counts)
-        row = self._rows_of(self.body.position[self.table.points.ids[: self.alive]], node)
-        return self._matrix(row, weight), [self._matrix(row, s / h) for s in slope]
+        reference = self.body.position[self.table.points.ids[: self.alive]]
+        field, share = self.cracks.fields(reference, node, 1e-12)
+        row = np.hstack([node + self._grid_rows * field, node])
+        return (
+            self._matrix(row, np.hstack([share * weight, (1.0 - share) * weight])),
+            [self._matrix(row, np.hstack([share * s, (1.0 - share) * s]) / h) for s in slope],
+        )
 
     def _anchor_reader(self, mass: FloatArray) -> csr_array:
         """Return the matrix from nodes to anchors: linear functions over nodes that carry material (Eq 32)."""
         xi = (self.anchor + self.anchor_displacement - self._origin) / self.grid.cell_size
         node, weight, _ = shape_functions(xi, np.zeros_like(xi), "linear", self._node_counts)
-        row = self._rows_of(self.anchor, node)
+        row = node + self._grid_rows * self.cracks.fields(self.anchor, node, 0.5)[0]
         heavy = mass[row] > LEAST_MASS_SHARE * mass[row].max(axis=1, keepdims=True, initial=0.0)
         weight = np.where(heavy, weight, 0.0)
         total = weight.sum(axis=1, keepdims=True)
         return self._matrix(row, np.divide(weight, total, out=np.zeros_like(weight), where=total > 0.0))
-
-    def _rows_of(self, reference: FloatArray, node: IntArray) -> IntArray:
-        """Rows of the nodal tables that material at reference places uses at its nodes."""
-        return node + self._grid_rows * self.cracks.fields(reference, node)
 
     def _matrix(self, row: IntArray, weight: FloatArray) -> csr_array:
         size = row.shape[0], self._grid_rows * self.cracks.field_count

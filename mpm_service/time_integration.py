@@ -169,8 +169,9 @@ class TimeIntegration:
         mapping.tabulate(number)
         self._locate(number)
         active = mapping.active
-        for table in (tables.momentum, tables.velocity):
-            node_kernels.clear(active, table)
+        node_kernels.clear(active, tables.momentum)
+        if scheme.integration != "usl":
+            node_kernels.clear(active, tables.velocity)
 
         mapping.scatter_state(tables.momentum)
         if scheme.integration in ("usf", "usavg"):

@@ -43,12 +43,12 @@ class Check:
         difference = self.value - self.reference
         if self.at_most:
             difference = max(difference, 0.0)  # in this order NaN stays NaN
-        return abs(difference / self.reference) if self.reference else abs(difference)
+        return float(abs(difference / self.reference) if self.reference else abs(difference))
 
     @property
     def passed(self) -> bool:
         """Whether the error is within the tolerance; NaN never is."""
-        return self.error <= self.tolerance
+        return bool(self.error <= self.tolerance)
 
 
 class CannotRun(Exception):

@@ -79,9 +79,10 @@ def test_node_on_the_line_counts_as_left_and_node_at_the_tip_as_ahead(direction:
     left, right = (above, below) if direction > 0 else (below, above)
     assert fields(cracks, left, [on_line])[0, 0] == on_line
     assert fields(cracks, right, [on_line])[0, 0] >= GRID.node_count
-    behind = ends[1][0] - 1.25 * direction
-    for side in (0.25, -0.25):
-        assert fields(cracks, np.array([[behind, 5.0 + side]]), [at_tip])[0, 0] == at_tip
+    # A way that passes the tip counts by the place a third of the way on: 0.25 cells short of the tip is half.
+    for along, far in ((-0.35, False), (-0.40, True)):
+        crossing = np.array([[ends[1][0] + along * direction, 5.0 - 0.25 * direction]])
+        assert (fields(cracks, crossing, [at_tip])[0, 0] != at_tip) == far
     (tip,) = cracks.tips
     assert (tip.end, tip.length) == (1, pytest.approx(9.0))
     np.testing.assert_allclose(tip.direction, [direction, 0.0], atol=1e-12)
@@ -150,6 +151,8 @@ def test_fields_turn_with_the_body(angle: float) -> None:
         seen = np.flatnonzero(np.all(np.abs(moved - at) < 1.5, axis=1))
         back = (at - shift - 5.0) @ turn + 5.0
         for p, row in zip(seen, fields(cracks, place[seen], [node])[:, 0], strict=True):
+            if np.hypot(*(place[p] - line[-1])) < 2.0:
+                continue  # past the tip a way counts by a share
             expected = exact_crossings(line, place[p], back) % 2 == 1
             assert (row != node) == expected
             compared += 1

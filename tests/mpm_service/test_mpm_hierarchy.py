@@ -165,7 +165,8 @@ def test_averages_against_sampled_linear_functions() -> None:
     raster = (np.arange(60) + 0.5) / 30.0 - 1.0
     edge = (np.arange(2000) + 0.5) / 1000.0 - 1.0
     for p, centre in enumerate(centres):
-        one = Stencils(0, mean.node[p : p + 1], mean.weight[p : p + 1], mean.gradient[p : p + 1], mean.entries[p : p + 1])
+        own = slice(p, p + 1)
+        one = Stencils(0, mean.node[own], mean.weight[own], mean.gradient[own], mean.entries[own])
         cloud = centre + half[p] * np.stack(np.meshgrid(raster, raster), axis=-1).reshape(-1, 2)
         s = hierarchy_stencils(GRID, cloud)
         sampled = dense(s, s.weight, np.full(3600, 1.0 / 3600))
