@@ -127,16 +127,15 @@ def test_grown_crack_opens_like_one_that_was_that_long_from_the_start() -> None:
     np.testing.assert_allclose(arc, other, atol=1e-12)
     widest = expected[:, 0].max()
     assert widest > 1e-3
-    # Linear elasticity knows no path. Points keep some: their strain is that of functions a cell wide, and where the
-    # crack has run through strained material openings are off by up to a quarter of the widest. Behind the place where
-    # growth began (at 9) single markers keep a twentieth, the faces as a whole next to nothing.
+    # Linear elasticity knows no path, but points keep the strain they had before the cut, that of functions a cell
+    # wide: on the part that has grown the faces' opening is not held (docs/continuum.md says not to use it). Behind the
+    # place where growth began (at 9) single markers keep a twentieth of it, the faces as a whole next to nothing.
     off = np.abs(opening - expected)
     assert off[arc < 7.0].mean() < 0.005 * widest
     assert off[arc < 7.0].max() < 0.06 * widest
-    assert off.max() < 0.25 * widest
     ahead = np.all(np.abs(grown.points.reference_position - (11.0, 0.3)) < 1.0, axis=1)
     stress = [solver.points.stress[ahead, 1].mean() for solver in (grown, stated)]
-    assert stress[0] == pytest.approx(stress[1], rel=0.03)
+    assert stress[0] == pytest.approx(stress[1], rel=0.01)
 
 
 def test_growth_stops_at_another_crack_and_joins_it() -> None:
