@@ -23,6 +23,8 @@ from .material import Material, MaterialError
 from .material_points import Body, Overlap, fill_rectangle, fill_region
 from .materials import IsotropicElastic, J2Plasticity, NeoHookean, OrthotropicElastic
 from .scheme import Scheme
+from .set_up import largest_time_step
+from .shape_functions import shape_functions
 from .solver import Energies, MaterialPointSolver
 from .time_functions import Constant, Ramp, Sine, Step, Table
 
@@ -59,6 +61,8 @@ __all__ = [
     "fill_hierarchy",
     "fill_rectangle",
     "fill_region",
+    "largest_time_step",
     "relax",
+    "shape_functions",
     "symmetry",
 ]

@@ -297,6 +297,7 @@ class Mapping:
         else:
             self._fill(place, box, kind, table)
         table.entries[~inside] = 0
+        table.weight[~inside] = 0.0
         return table.node, table.weight, table.entries
 
     def list_nodes(self, node: IntArray, count: IntArray) -> None:

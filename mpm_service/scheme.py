@@ -87,4 +87,6 @@ class Scheme:
             limit = 0.6 if order == 1 else 0.5 if order < 4 else 0.4
         else:
             limit = 0.8 if order < 3 else 0.6 if order == 3 else 0.5
+        if order > 1 and self.period > 1:  # FLIP feeds between the filtered steps what they amplify
+            limit = min(limit, 0.35)
         return limit if order < 5 else min(limit, 0.3)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .grid import Grid
+from .hierarchy import HierarchicalGrid
 from .material import Material
 from .material_points import Body
 from .scheme import Scheme
@@ -73,6 +74,24 @@ def _check_margin(grid: Grid, body: Body) -> None:
                 f"grid: needs at least one cell of margin around the body in {'xyz'[axis]}, has {low:.3g} below and "
                 f"{high:.3g} above"
             )
+
+
+def largest_time_step(
+    grid: Grid | HierarchicalGrid, material: Material | Sequence[Material], scheme: Scheme | None = None
+) -> float:
+    """Largest time step a solver accepts [s]: the scheme's Courant limit over the smallest cell (Eq 31).
+
+    Parameters
+    ----------
+    grid : Grid or HierarchicalGrid
+    material : Material or sequence of Material
+        The fastest wave at rest counts.
+    scheme : Scheme, optional
+        The default scheme if not given.
+    """
+    materials = (material,) if isinstance(material, Material) else tuple(material)
+    cells = grid.cell_sizes if isinstance(grid, HierarchicalGrid) else (grid.cell_size,)
+    return (scheme or Scheme()).courant_limit * min(cells) / max(m.pressure_wave_speed for m in materials)
 
 
 def checked_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> FloatArray:

@@ -28,7 +28,7 @@ from .nodes import EMPTY
 from .point_table import PointTable
 from .point_view import PointView
 from .scheme import Scheme
-from .set_up import check_cells, check_set_up, checked_array
+from .set_up import check_cells, check_set_up, checked_array, largest_time_step
 from .splitting import find_oversized, split_points
 from .time_integration import Nodes, TimeIntegration
 
@@ -222,7 +222,7 @@ class MaterialPointSolver:
     @property
     def stable_time_step(self) -> float:
         """Largest allowed time step [s]."""
-        return self.scheme.courant_limit * self._smallest_cell / self._wave_speed
+        return largest_time_step(self.grid, self.materials, self.scheme)
 
     @property
     def points_lost(self) -> int:

@@ -124,3 +124,9 @@ def test_wrong_force_arrays_are_refused() -> None:
         solver.advance(1, ivc_force=np.zeros((1, 2)))
     with pytest.raises(ValueError, match=r"anchor_force\[0, 1\]"):
         solver.advance(1, anchor_force=[[0.0, np.nan]])
+
+
+@pytest.mark.parametrize("place", [(-3.5, 5.0), (400.0, 5.0)])
+def test_an_anchor_without_material_is_refused(place: tuple[float, float]) -> None:
+    with pytest.raises(ValueError, match="no material point reaches"):
+        solver_with(np.array([[5.0, 5.0], place]))

@@ -97,6 +97,13 @@ def test_other_transfers_at_their_limit_stay_stable(transfer: str, order: int) -
         assert shake(scheme, 2, 0.01, 150.0, strength=1e-3) < STABLE
 
 
+@pytest.mark.parametrize("period", [2, 4, 10])
+def test_periodic_filter_at_its_limit_stays_stable(period: int) -> None:
+    scheme = Scheme(period=period)
+    assert shake(scheme, 2, 0.0, 400.0) < STABLE
+    assert shake(scheme, 1, 0.0, 400.0) < STABLE
+
+
 @pytest.mark.parametrize("transfer", ["flip", "fmpm"])
 def test_nearly_incompressible_solid_at_the_limit_stays_stable(transfer: str) -> None:
     for points_per_cell in (1, 2):
