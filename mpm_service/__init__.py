@@ -7,7 +7,7 @@
 >>> solver = MaterialPointSolver(grid, body, steel, thickness=0.01, time_step=5e-7)
 >>> solver.advance(10)
 >>> solver.points.velocity.shape
-(8000, 2)
+(4000, 2)
 """
 
 from .conditions import EdgeCondition, NodeCondition, symmetry
