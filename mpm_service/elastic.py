@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -131,16 +130,6 @@ class LinearElastic(Material):
         return self._strain(rows) @ self.thickness_row
 
 
-class Law(NamedTuple):
-    """Constants the kernels read: stress = C strain [Pa], thickness strain = -contraction * trace."""
-
-    c11: float
-    c12: float
-    c33: float
-    contraction: float
-    inverse_density: float
-
-
 @dataclass(frozen=True)
 class IsotropicElastic(LinearElastic):
     """Small-strain isotropic elasticity with the strain taken from the deformation gradient.
@@ -209,42 +198,6 @@ class IsotropicElastic(LinearElastic):
         if self.assumption == "plane_stress":
             return np.array([1.0, 1.0, 0.0]) * (-self.poisson / (1.0 - self.poisson))
         return np.array([1.0, 1.0, 0.0]) * self.lame
-
-    def stress(self, strain: FloatArray) -> FloatArray:
-        """In-plane stress of in-plane strain.
-
-        Parameters
-        ----------
-        strain : (n, 3) ndarray
-            xx, yy and tensor xy (half the engineering shear).
-
-        Returns
-        -------
-        (n, 3) ndarray
-            xx, yy, xy [Pa].
-        """
-        trace = self.lame * (strain[:, 0] + strain[:, 1])
-        return np.ascontiguousarray(
-            np.stack([trace, trace, np.zeros_like(trace)], axis=1) + 2.0 * self.shear_modulus * strain
-        )
-
-    def stress_zz(self, rows: FloatArray, ids: IdArray | None = None, history: FloatArray | None = None) -> FloatArray:
-        """Cauchy stress across the thickness [Pa], (n,); `rows` alone may be in-plane strains (n, 3)."""
-        if ids is None or history is None:
-            across = self.lame if self.assumption == "plane_strain" else 0.0
-            return across * (rows[:, 0] + rows[:, 1])
-        return super().stress_zz(rows, ids, history)
-
-    def law(self) -> Law:
-        """Kernel form of the law."""
-        thins = self.assumption == "plane_stress"
-        return Law(
-            self.wave_modulus,
-            self.lame,
-            2.0 * self.shear_modulus,
-            self.poisson / (1.0 - self.poisson) if thins else 0.0,
-            1.0 / self.density,
-        )
 
 
 @dataclass(frozen=True)

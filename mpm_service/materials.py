@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .elastic import IsotropicElastic, Law, LinearElastic, OrthotropicElastic
+from .elastic import IsotropicElastic, LinearElastic, OrthotropicElastic
 from .hyperelastic import NeoHookean
 from .material import (
     Assumption,
@@ -19,7 +19,6 @@ __all__ = [
     "Assumption",
     "IsotropicElastic",
     "J2Plasticity",
-    "Law",
     "LinearElastic",
     "Material",
     "MaterialError",
