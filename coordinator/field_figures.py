@@ -270,9 +270,12 @@ def crack_pictures(results: Results, scene: Scene, most: int = 4) -> list[Pictur
 
 
 def strain_pictures(results: Results, scene: Scene) -> list[Picture]:
-    """Draw strain along y of points and atoms at the last frame: a map, and a section along x."""
+    """Draw strain along y of points and atoms at the last frame: a map, and a section along x.
+
+    Only where points and atoms meet and no crack disturbs the strain; else there is nothing uniform to look for.
+    """
     points = results.points
-    if scene.crack is not None or points is None or len(points) < 2:
+    if scene.atomistic is None or scene.crack is not None or points is None or len(points) < 2:
         return []
     data = points.frame(len(points) - 1)
     continuum = local_strain(
