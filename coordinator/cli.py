@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
 import click
@@ -11,8 +13,56 @@ DIRECTORY = click.Path(path_type=Path, file_okay=False)
 EXISTING_FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 NEW_FILE = click.Path(path_type=Path, dir_okay=False)
 
+#: Entry points through which other packages add commands: the command's name, and a click command in a module that is
+#: cheap to import.
+COMMANDS = "scalebridge.commands"
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+
+class CommandLine(click.Group):
+    """The commands of this room, and those that installed packages announce as entry points."""
+
+    def list_commands(self, context: click.Context) -> list[str]:
+        """Names of all commands, sorted."""
+        return sorted({*super().list_commands(context), *_announced()})
+
+    def get_command(self, context: click.Context, name: str) -> click.Command | None:
+        """One command, loaded now; none of an installed package replaces one of this room."""
+        own = super().get_command(context, name)
+        point = _announced().get(name)
+        return _loaded(point) if own is None and point is not None else own
+
+
+@cache
+def _announced() -> dict[str, EntryPoint]:
+    return {point.name: point for point in entry_points(group=COMMANDS)}
+
+
+def _loaded(point: EntryPoint) -> click.Command:
+    """The command of an entry point, or one that says why there is none, so that the others go on working."""
+    try:
+        command = point.load()
+    except Exception as error:  # whatever a broken package raises while it is imported
+        reason = f"{type(error).__name__}: {error}"
+    else:
+        if isinstance(command, click.Command):
+            return command
+        reason = f"it is no click command but {type(command).__name__}"
+    package = point.dist.name if point.dist else "an unknown package"
+
+    def explain() -> None:
+        raise click.ClickException(f"command {point.name!r} of {package} ({point.value}) cannot be loaded: {reason}")
+
+    return click.Command(
+        point.name,
+        callback=explain,
+        short_help=f"(cannot be loaded: {reason})",
+        # Whatever follows the name, the reason is said.
+        context_settings={"ignore_unknown_options": True, "allow_extra_args": True, "allow_interspersed_args": False},
+        add_help_option=False,
+    )
+
+
+@click.group(cls=CommandLine, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(package_name="scalebridge")
 @click.option("--debug", is_flag=True, help="Show tracebacks.")
 @click.pass_context

@@ -22,6 +22,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from pydantic import TypeAdapter
 
+from coordinator.atom_measurements import AtomMeasurements, MeasuredFields
+from coordinator.atomistic_request import (
+    advance_request,
+    check_extent,
+    configure_request,
+    equilibrate_request,
+    register_request,
+)
 from coordinator.continuum_request import continuum_request
 from coordinator.handshake import Handshake, choose
 from coordinator.interface import Interface, build_interface
@@ -34,9 +42,6 @@ from protocol.arrays import FloatArray
 from protocol.client import Client
 from protocol.continuum import Rectangle
 from protocol.messages import CheckpointReply, FieldsReply, FieldsRequest, Restored, RestoreRequest
-
-#: Windows of the reference average at least, so that its standard error can be estimated.
-FEWEST_WINDOWS = 8
 
 
 @dataclass(frozen=True)
@@ -55,6 +60,8 @@ class StepRecord:
         Of the continuum.
     tips : list of CrackTip
         Of the continuum.
+    measured : MeasuredFields or None
+        Fields of the atoms, at steps where the scene asks for them.
     """
 
     values: dict[str, float]
@@ -63,6 +70,7 @@ class StepRecord:
     warnings: list[str] = field(default_factory=list)
     events: list[c.ContinuumEvent] = field(default_factory=list)
     tips: list[c.CrackTip] = field(default_factory=list)
+    measured: MeasuredFields | None = None
 
 
 class Coupling:
@@ -95,6 +103,7 @@ class Coupling:
         self.handshake: Handshake | None = None
         self.equilibrated: a.Equilibrated | None = None
         self.warnings: list[str] = []
+        self.measurements: AtomMeasurements | None = None
         self.atom_id = np.zeros(0, dtype=np.int64)
         self.atom_mass = np.zeros(0)
         self.atom_position = np.zeros((0, 3))
@@ -122,18 +131,13 @@ class Coupling:
         """Bring the atoms to temperature and measure the reference forces, anchors at rest."""
         if self._atomistic is None or self.scene.atomistic is None or self.scene.handshake is None:
             return
-        atomistic = self.scene.atomistic
-        window = self.scene.handshake.steps_per_exchange
         self._tell("equilibrate atoms, measure reference forces")
-        self.equilibrated = self._atomistic.call(
-            "equilibrate",
-            a.EquilibrateRequest(
-                steps=round(atomistic.equilibration / atomistic.time_step),
-                windows=max(FEWEST_WINDOWS, round(atomistic.reference / (window * atomistic.time_step))),
-                window_steps=window,
-            ),
-            a.Equilibrated,
-        )
+        if self.scene.atomistic.collects:
+            # On before the reference is measured: J counts from the energies and stresses without load.
+            self._atomistic.call("collect_fields", a.CollectRequest(active=True), a.Collecting)
+        self.equilibrated = self._atomistic.call("equilibrate", equilibrate_request(self.scene), a.Equilibrated)
+        if self.equilibrated.settled is False:
+            self.warnings.append(_unsettled(self.equilibrated))
 
     def _measure_properties(self) -> None:
         assert self._atomistic is not None and self.scene.atomistic is not None
@@ -152,29 +156,17 @@ class Coupling:
         scene = self.scene
         assert scene.atomistic is not None and scene.handshake is not None
         self._tell("build atoms")
-        built = client.call(
-            "configure",
-            a.AtomisticConfigure(
-                force_field=scene.atomistic.force_field,
-                sample=a.Sample(
-                    material=scene.atomistic.material,
-                    width=scene.atomistic.width,
-                    height=scene.atomistic.height,
-                    lattice_constant=self.properties.lattice_constant if self.properties else None,
-                    crack=a.CrackCut(tip_x=scene.crack.tip_x, y=scene.crack.y) if scene.crack else None,
-                ),
-                temperature=scene.atomistic.temperature,
-                time_step=scene.atomistic.time_step,
-                seed=scene.run.seed,
-            ),
-            a.AtomisticConfigured,
-        )
+        measured = self.properties.lattice_constant if self.properties else None
+        built = client.call("configure", configure_request(scene, measured), a.AtomisticConfigured)
         self.atom_id, self.atom_mass, self.atom_position = built.atom_id, built.atom_mass, built.position
+        self.measurements = AtomMeasurements(scene, client, built.position)
         self.warnings += built.warnings
         material = self._isotropic
         assert material is not None  # held by the scene's checks
         # The ring ends where the atoms do: continuum of small weight beyond the last atoms would be a soft gap.
         low, high = built.position[:, :2].min(axis=0), built.position[:, :2].max(axis=0)
+        if scene.atomistic.sample is not None:
+            check_extent(scene.atomistic, scene.continuum.cell_size, low, high)
         corners = scene.overlap(float(high[0] - low[0]), float(high[1] - low[1]))
         assert corners is not None
         inner, outer = _rectangle(corners[0]), Rectangle(lower=tuple(low), upper=tuple(high))
@@ -195,6 +187,8 @@ class Coupling:
             self.handshake.weight,
             scene.handshake.ivc_size,
             scene.crack.y if scene.crack else None,
+            scene.handshake.passive_width or 0.0,
+            scene.handshake.surface_width or 0.0,
         )
         self._anchor_stiffness = np.full(
             len(self.interface.anchor), self.handshake.stiffness_density * self._volume_per_atom(built.atom_mass)
@@ -230,9 +224,11 @@ class Coupling:
     @property
     def thickness(self) -> float:
         """Thickness of the continuum, m."""
-        source = self.scene.continuum.material or self.properties
-        assert source is not None
-        return source.thickness
+        given, measured, atoms = self.scene.continuum.material, self.properties, self.scene.atomistic
+        if given is not None:
+            return given.thickness
+        assert measured is not None and atoms is not None  # held by the scene's checks
+        return measured.thickness * atoms.layers
 
     def _configure_continuum(self) -> None:
         self._tell("relax continuum" if self.scene.continuum.preload else "build continuum")
@@ -262,13 +258,7 @@ class Coupling:
         )
         atomistic.call(
             "register",
-            a.AtomisticRegister(
-                atom_id=self.atom_id[interface.anchor],
-                anchor_position=self.anchor_reference,
-                anchor_ivc=interface.anchor_ivc,
-                stiffness=self._anchor_stiffness,
-                damping_time=handshake.damping_time,
-            ),
+            register_request(handshake, self.atom_id, self.anchor_reference, interface, self._anchor_stiffness),
             a.AtomisticRegistered,
         )
 
@@ -305,19 +295,28 @@ class Coupling:
             return StepRecord(values, events=continuum.events, tips=continuum.tips)
         atoms = self._atomistic.call(
             "advance",
-            a.AtomisticAdvance(
-                steps=self.scene.handshake.steps_per_exchange,
-                anchor_position=self.anchor_reference + continuum.anchor_displacement,
-                anchor_velocity=continuum.anchor_velocity,
+            advance_request(
+                self.scene.handshake,
+                self._anchor_start(continuum),
+                continuum.anchor_velocity,
             ),
             a.AtomisticAdvanced,
             step=self.step,
         )
         self._reaction = atoms.ivc_force if by_ivc else atoms.anchor_force
         values.update(self._exchange(atoms))
+        assert self.measurements is not None
+        frame = self.measurements.take(self.step, values)
         return StepRecord(
-            values, atoms.ivc_force, atoms.ivc_standard_error, atoms.warnings, continuum.events, continuum.tips
+            values, atoms.ivc_force, atoms.ivc_standard_error, atoms.warnings, continuum.events, continuum.tips, frame
         )
+
+    def _anchor_start(self, continuum: c.ContinuumAdvanced) -> FloatArray:
+        """Where the anchors begin the exchange: the continuum's place now, or one exchange back where they move."""
+        place = self.anchor_reference + continuum.anchor_displacement
+        if self.scene.handshake is not None and self.scene.handshake.motion == "linear":
+            place = place - self.scene.time_step * continuum.anchor_velocity
+        return place
 
     def _load(self, continuum: c.ContinuumAdvanced) -> dict[str, float]:
         """Return load measures of the first edge that pulls the body apart along y."""
@@ -367,6 +366,12 @@ class Coupling:
             "broken_bonds": float(atoms.broken_bonds),
             "longest_bond": atoms.longest_bond,
         }
+        if atoms.thermostat_work is not None:
+            values["thermostat_work"] = atoms.thermostat_work
+        if atoms.correlation_time is not None:
+            values["correlation_time"] = atoms.correlation_time
+        if self.scene.handshake is not None and self.scene.handshake.until_error is not None:
+            values["exchange_windows"] = float(atoms.windows)
         if atoms.crack_tip is not None:
             values["crack_tip"] = atoms.crack_tip
             if self._start_tip is None:
@@ -433,6 +438,15 @@ def _tip_values(tips: list[c.CrackTip]) -> dict[str, float]:
         start = f"tip_{tip.crack}_{tip.end}_"
         found.update({start + name: value for name, value in values.items() if value is not None})
     return found
+
+
+def _unsettled(how: a.Equilibrated) -> str:
+    """Say that the atoms were not at rest when the run began."""
+    sentence = f"The equilibration ended after {how.steps_done} steps without having settled"
+    if how.drifts:
+        worst = max(how.drifts, key=lambda item: abs(item.drift) / max(item.standard_error, 1e-300))
+        sentence += f": {worst.quantity} drifts by {worst.drift:.3g} with an error of {worst.standard_error:.2g} (SI)"
+    return f"{sentence}; raise atomistic.equilibration."
 
 
 def _rectangle(corners: Corners) -> Rectangle:

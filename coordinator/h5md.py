@@ -13,14 +13,28 @@ from typing import Any
 import h5py
 import numpy as np
 
+from coordinator.atom_measurements import MeasuredFields
+from coordinator.elements import ELEMENTS
 from protocol.arrays import FloatArray, IntArray
 
 NANOMETRE = 1e-9
 PICOSECOND = 1e-12
 GROUP = "particles/atoms"
 _FRAMES_PER_TIME_CHUNK = 256
-#: Elements of the polymers and composites that are modelled, by atomic number.
-_SYMBOLS = {1: "H", 6: "C", 7: "N", 8: "O", 9: "F", 14: "Si", 15: "P", 16: "S", 17: "Cl"}
+#: Fields of each atom: unit in the file and its SI size.
+FIELDS = {
+    "displacement": ("nm", NANOMETRE),
+    "velocity": ("nm ps-1", NANOMETRE / PICOSECOND),
+    "stress": ("Pa", 1.0),
+    "energy": ("J", 1.0),
+}
+#: Fields on a grid, likewise.
+GRID_FIELDS = {
+    **{name: FIELDS[name] for name in ("displacement", "velocity", "stress")},
+    "density": ("kg m-3", 1.0),
+    "temperature": ("K", 1.0),
+}
+GRID = "observables/grid"
 
 
 @dataclass(frozen=True)
@@ -63,7 +77,7 @@ def create_atoms(
     file : h5py.File
     atom_id : int64 array, shape (atoms,)
     species : int64 array, shape (atoms,)
-        Atomic number.
+        Atomic number, 0 for one that is not known.
     mass : float64 array, shape (atoms,)
         kg.
     reference : float64 array, shape (atoms, 3)
@@ -75,7 +89,9 @@ def create_atoms(
     box.attrs["dimension"] = 3
     box.attrs.create("boundary", np.array([b"none"] * 3, dtype="S4"))
     group.create_dataset("id", data=np.asarray(atom_id, dtype=np.int32))
-    present = {_SYMBOLS.get(int(number), f"Z{number}"): int(number) for number in np.unique(species)}
+    present = {
+        ELEMENTS[int(number)][0] if int(number) in ELEMENTS else "X": int(number) for number in np.unique(species)
+    }
     group.create_dataset("species", data=np.asarray(species), dtype=h5py.enum_dtype(present, np.int32))
     masses = group.create_dataset("mass", data=np.asarray(mass) / 1.66053906892e-27)
     masses.attrs["unit"] = "u"
@@ -117,8 +133,51 @@ def append(file: h5py.File, frames: Sequence[AtomsFrame]) -> None:
         edges["value"][row] = np.maximum(extent, 0.1)
 
 
+def append_fields(file: h5py.File, step: int, time: float, measured: MeasuredFields) -> None:
+    """Append measured fields: elements of the particles with times of their own, and observables on a grid."""
+    for name, value in measured.atoms.items():
+        unit, size = FIELDS[name]
+        _append_element(file.require_group(f"{GROUP}/{name}"), step, time, value / size, unit)
+    if measured.grid is None:
+        return
+    grid = file.require_group(GRID)
+    if "origin" not in grid.attrs:
+        grid.attrs["origin"] = np.array(measured.grid.origin) / NANOMETRE
+        grid.attrs["spacing"] = measured.grid.spacing / NANOMETRE
+        grid.attrs["unit"] = "nm"
+        grid.attrs["description"] = "first point of the grid and distance of points; arrays are (frame, x, y, z, ...)"
+    for name, value in measured.on_grid.items():
+        unit, size = GRID_FIELDS[name]
+        _append_element(grid.require_group(name), step, time, value / size, unit)
+
+
+def _append_element(group: h5py.Group, step: int, time: float, value: FloatArray, unit: str) -> None:
+    if "value" not in group:
+        group.create_dataset("step", shape=(0,), maxshape=(None,), dtype=np.int64, chunks=(_FRAMES_PER_TIME_CHUNK,))
+        group.create_dataset("time", shape=(0,), maxshape=(None,), dtype=np.float64, chunks=(_FRAMES_PER_TIME_CHUNK,))
+        group["time"].attrs["unit"] = "ps"
+        group.create_dataset(
+            "value", shape=(0, *value.shape), maxshape=(None, *value.shape), dtype=np.float64, chunks=(1, *value.shape)
+        )
+        group["value"].attrs["unit"] = unit
+    row = len(group["step"])
+    for name, entry in (("step", step), ("time", time / PICOSECOND), ("value", value)):
+        group[name].resize(row + 1, axis=0)
+        group[name][row] = entry
+
+
+def _elements(file: h5py.File) -> list[h5py.Group]:
+    """Return the groups of measured fields that are there."""
+    names = [*(f"{GROUP}/{name}" for name in FIELDS), *(f"{GRID}/{name}" for name in GRID_FIELDS)]
+    return [file[name] for name in names if name in file]
+
+
 def truncate(file: h5py.File, step: int) -> None:
     """Drop the frames after `step`."""
+    for element in _elements(file):
+        keep = int(np.searchsorted(element["step"][:], step, side="right"))
+        for name in ("step", "time", "value"):
+            element[name].resize(keep, axis=0)
     if GROUP not in file:
         return
     group = file[GROUP]
@@ -142,6 +201,7 @@ class AtomsReader:
 
     def __init__(self, file: h5py.File) -> None:
         group = file[GROUP]
+        self._group = group
         self._value: Any = group["position/value"]
         self.step: IntArray = group["position/step"][:]
         self.time: FloatArray = group["position/time"][:] * PICOSECOND
@@ -151,7 +211,44 @@ class AtomsReader:
     def __len__(self) -> int:
         return len(self.step)
 
+    def field(self, name: str) -> tuple[IntArray, FloatArray]:
+        """Return steps and values of a measured field of each atom, SI.
+
+        Raises
+        ------
+        KeyError
+            If it was not measured.
+        """
+        return _read_element(self._group[name], FIELDS[name][1])
+
     def position(self, frame: int) -> FloatArray:
         """Return the positions of a frame, shape (atoms, 3), m."""
         found: FloatArray = self._value[frame] * NANOMETRE
         return found
+
+
+class GridReader:
+    """Fields of the atoms on a grid, in SI.
+
+    Attributes
+    ----------
+    origin : float64 array, shape (3,)
+        The first point, m.
+    spacing : float
+        m.
+    names : list of str
+    """
+
+    def __init__(self, file: h5py.File) -> None:
+        self._group = file[GRID]
+        self.origin: FloatArray = np.array(self._group.attrs["origin"]) * NANOMETRE
+        self.spacing = float(self._group.attrs["spacing"]) * NANOMETRE
+        self.names = list(self._group)
+
+    def field(self, name: str) -> tuple[IntArray, FloatArray]:
+        """Return steps, shape (frames,), and values, shape (frames, x, y, z, ...), of a field."""
+        return _read_element(self._group[name], GRID_FIELDS[name][1])
+
+
+def _read_element(group: h5py.Group, size: float) -> tuple[IntArray, FloatArray]:
+    return group["step"][:], group["value"][:] * size

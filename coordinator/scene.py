@@ -12,9 +12,10 @@ from typing import Annotated, Any, Union, get_args, get_origin
 from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 
+from coordinator.atomistic_tables import Atomistic
 from coordinator.continuum_tables import Continuum, Edge, Material
 from coordinator.scene_checks import Problem, cross_checks
-from coordinator.scene_tables import Atomistic, Crack, Handshake, Run, Scene, snapped_overlap
+from coordinator.scene_tables import Crack, Handshake, Run, Scene, snapped_overlap
 from coordinator.table import Corners
 from coordinator.units import Quantity
 
@@ -81,7 +82,13 @@ def load_scene(path: str | Path, overrides: Sequence[str] = ()) -> Scene:
         raise SceneError([f"{file}: cannot be read: {error.strerror}"]) from None
     except UnicodeDecodeError:
         raise SceneError([f"{file}: is not UTF-8 text"]) from None
-    return read_scene(text, file.stem, overrides, str(file))
+    scene = read_scene(text, file.stem, overrides, str(file))
+    scene._folder = file.resolve().parent
+    sample = scene.atomistic.sample if scene.atomistic is not None and scene.atomistic.from_file else None
+    if sample is not None and not (scene.folder / sample).is_file():
+        raise SceneError([_line(str(file), ("atomistic", "sample"), {"atomistic": {"sample": sample}},
+                                f"there is no such file in {scene.folder}")])  # fmt: skip
+    return scene
 
 
 def read_scene(text: str, name: str, overrides: Sequence[str] = (), file: str = "scene") -> Scene:

@@ -26,8 +26,11 @@ def cross_checks(scene: Any, tables: set[str]) -> list[Problem]:
     found = list(_which_tables(scene, tables))
     if scene.continuum is not None:
         found += continuum_checks(scene.continuum, tables)
+    if scene.atomistic is not None:
+        found += _atomistic(scene, tables)
     if scene.atomistic is not None and scene.handshake is not None:
         found += _handshake(scene)
+        found += _anchors(scene)
     if scene.crack is not None:
         found += _crack(scene)
     return found
@@ -60,6 +63,46 @@ def _which_tables(scene: Any, tables: set[str]) -> Iterator[Problem]:
         if not any(crack.growth for crack in cracks or []):
             allowed = "must be left out unless there are [atomistic] and [crack], or a crack of the continuum grows"
             yield ("run", "stop_after_crack_growth"), allowed
+
+
+def _atomistic(scene: Any, tables: set[str]) -> Iterator[Problem]:
+    """What of [atomistic] goes with what."""
+    atoms = scene.atomistic
+    if atoms.sample is not None:
+        for name, plain in (("layers", 1), ("orientation", None)):
+            if getattr(atoms, name) not in (plain, None):
+                yield ("atomistic", name), "must be left out with atomistic.sample, which is built already"
+    if atoms.sample is None and "atomistic.sample" not in tables and atoms.periodic_z is not None:
+        yield ("atomistic", "periodic_z"), "must be left out without atomistic.sample"
+    if (atoms.commands is not None or atoms.sample is not None) and "continuum.material" not in tables:
+        which = "atomistic.commands" if atoms.commands is not None else "atomistic.sample"
+        yield ("continuum", "material"), f"is missing; with {which} no constants can be measured for it"
+    if atoms.commands is not None and atoms.sample is None and "atomistic.sample" not in tables:
+        yield ("atomistic", "sample"), "is missing; no sample can be built for a force field of your own"
+    fields, j = atoms.fields, atoms.j
+    if j is not None and "crack" not in tables:
+        yield ("atomistic", "j"), "must be left out without [crack]"
+    if fields is not None and not fields.atoms and "atomistic.fields.spacing" not in tables:
+        yield ("atomistic", "fields"), "must have spacing, for a grid, or atoms, a list of fields of each atom"
+    if fields is not None and fields.radius is not None and fields.spacing is None:
+        yield ("atomistic", "fields", "radius"), "must be left out without spacing"
+    if fields is not None and j is not None and known(fields.interval, j.interval) and fields.interval % j.interval:
+        yield ("atomistic", "fields", "interval"), f"must be a multiple of atomistic.j.interval, {j.interval}"
+
+
+def _anchors(scene: Any) -> Iterator[Problem]:
+    """What of [handshake] goes with what."""
+    handshake, atoms = scene.handshake, scene.atomistic
+    if handshake.passive_width is not None and handshake.surface_width is not None:
+        yield ("handshake", "surface_width"), "must be left out beside passive_width: passive atoms hide the surface"
+    for name in ("passive_width", "surface_width"):
+        value = getattr(handshake, name)
+        if known(value, handshake.width) and value >= handshake.width * (1 - CELL_TOLERANCE):
+            yield ("handshake", name), f"must be smaller than handshake.width, {length(handshake.width)}"
+    if handshake.until_error is not None and handshake.motion == "linear":
+        yield ("handshake", "until_error"), 'must be left out with motion = "linear"'
+    if atoms.ensemble is not None and atoms.ensemble.keep and handshake.damping_time is not None:
+        yield ("handshake", "damping_time"), "must be left out with atomistic.ensemble.keep: one thermostat at a time"
 
 
 def _handshake(scene: Any) -> Iterator[Problem]:
@@ -129,6 +172,15 @@ def _crack(scene: Any) -> Iterator[Problem]:
     ):
         corners, _ = snapped_overlap(continuum.lower, continuum.cell_size, atoms.width, atoms.height, handshake.width)
         region = "the sheet inside its handshake"
+    if atoms is not None and atoms.j is not None and handshake is not None and known(crack.tip_x, crack.y):
+        room = min(corners[1][0] - crack.tip_x, crack.tip_x - corners[0][0], corners[1][1] - crack.y,
+                   crack.y - corners[0][1])  # fmt: skip
+        for index, size in enumerate(atoms.j.half_sizes or []):
+            if room > 0 and size > room * (1 + CELL_TOLERANCE):
+                yield (
+                    ("atomistic", "j", "half_sizes", index),
+                    f"must keep clear of the handshake, whose springs act on the atoms: at most {length(room)}",
+                )
     for axis, (name, value) in enumerate((("tip_x", crack.tip_x), ("y", crack.y))):
         low, high = corners[0][axis], corners[1][axis]
         if low < high and value is not None and not low < value < high:

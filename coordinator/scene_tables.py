@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, PrivateAttr
 
+from coordinator.atomistic_tables import Atomistic
 from coordinator.continuum_tables import Continuum
 from coordinator.table import Corners, Count, Name, Point, Table
-from coordinator.units import Length, PositiveLength, PositiveStiffness, PositiveTime, Temperature, Time
+from coordinator.units import Length, PositiveForce, PositiveLength, PositiveStiffness, PositiveTime
 
 Seed = Annotated[int, Field(strict=True, ge=0, lt=2**31)]
 
@@ -25,21 +27,6 @@ class Run(Table):
     )
 
 
-class Atomistic(Table):
-    """The atomistic sample, a flat sheet centred on the origin."""
-
-    backend: Name = "md_service"
-    ranks: Count = Field(default=1, description="MPI processes")
-    force_field: Name
-    material: Name = "graphene"
-    width: PositiveLength = Field(description="extent along x, m")
-    height: PositiveLength = Field(description="extent along y, m")
-    temperature: Temperature = Field(description="K")
-    time_step: PositiveTime = Field(description="s")
-    equilibration: Time = Field(default=1e-12, description="time before the reference is measured, s")
-    reference: PositiveTime = Field(default=1e-12, description="averaging time of the reference force, s")
-
-
 class Handshake(Table):
     """Overlap of continuum and atoms, and the exchange between them."""
 
@@ -54,6 +41,19 @@ class Handshake(Table):
     spread: Literal["ivc", "anchor"] = Field(
         default="anchor", description="reactions go back along the shape functions, or evenly to the points of an IVC"
     )
+    motion: Literal["held", "linear"] = Field(
+        default="held", description="anchors stand still during an exchange, or go on with their velocity"
+    )
+    passive_width: PositiveLength | None = Field(
+        default=None, description="atoms so near to the sample's edge have no spring and follow the continuum, m"
+    )
+    surface_width: PositiveLength | None = Field(
+        default=None, description="on atoms so near to the sample's edge a constant force replaces the spring, m"
+    )
+    until_error: PositiveForce | None = Field(
+        default=None, description="an exchange is repeated until no force on a cell has a larger standard error, N"
+    )
+    most_windows: Count = Field(default=10, description="repetitions at most")
 
 
 class Crack(Table):
@@ -74,6 +74,7 @@ class Scene(Table):
     crack: Crack | None = None
 
     _name: str = PrivateAttr(default="")
+    _folder: Path = PrivateAttr(default=Path())
     _text: str = PrivateAttr(default="")
     _overrides: tuple[str, ...] = PrivateAttr(default=())
 
@@ -81,6 +82,11 @@ class Scene(Table):
     def name(self) -> str:
         """Name of the scene: its file name without ending."""
         return self._name
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the scene file, from which names of files in it count."""
+        return self._folder
 
     @property
     def text(self) -> str:

@@ -48,6 +48,10 @@ SERIES: dict[str, Series] = {
     "crack_tip": Series("m", "x of the crack tip in the atoms"),
     "broken_bonds": Series("1", "bonds broken since the start"),
     "longest_bond": Series("m", "longest bond"),
+    "thermostat_work": Series("J", "work of dampers and thermostats on the atoms"),
+    "exchange_windows": Series("1", "windows that the forces of this step are the mean of"),
+    "correlation_time": Series("s", "correlation time of the interface forces"),
+    "j_tip": Series("m", "x of the tip that the contours of J are around"),
     "courant": Series("1", "Courant number of the continuum step"),
     "points_lost": Series("1", "material points that left the grid since the start"),
     "seconds_continuum": Series("s", "wall time of the continuum in this step"),
@@ -66,6 +70,13 @@ TIP_SERIES: dict[str, Series] = {
     "g_2": Series("J/m^2", "energy release rate by crack closure, sliding"),
     "hoop_stress": Series("Pa", "hoop stress ahead of the tip"),
 }
+#: J from the atoms, by contour.
+J_SERIES: dict[str, Series] = {
+    "j_contour": Series("J/m^2", "J from the atoms along contour"),
+    "j_contour_error": Series("J/m^2", "standard error of J along contour"),
+    "j_domain": Series("J/m^2", "J from the atoms over the domain inside contour"),
+    "j_domain_error": Series("J/m^2", "standard error of J over the domain inside contour"),
+}
 _PLACES = {"x": Series("m", "x of the crack tip"), "y": Series("m", "y of the crack tip")}
 
 
@@ -75,4 +86,8 @@ def series_of(name: str) -> Series:
     if tip is not None:
         known = {**_PLACES, **TIP_SERIES}.get(tip[3], Series("", ""))
         return Series(known.unit, f"{known.description}, crack {tip[1]}, {('first', 'last')[int(tip[2])]} end")
+    contour = re.fullmatch(r"(j_\w+)_(\d+)", name)
+    if contour is not None and contour[1] in J_SERIES:
+        known = J_SERIES[contour[1]]
+        return Series(known.unit, f"{known.description} {contour[2]}")
     return SERIES.get(name, Series("", ""))

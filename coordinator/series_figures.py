@@ -42,7 +42,7 @@ SHOWN = frozenset(
         "atomistic_kinetic", "spring_energy", "anchor_work", "temperature", "handshake_temperature", "force_sum_x",
         "force_sum_y", "force_balance", "ivc_error_rms", "ivc_force_rms", "applied_strain", "edge_force",
         "j_boundary", "crack_tip", "broken_bonds", "longest_bond", "seconds_continuum", "seconds_atomistic",
-        "seconds_exchange",
+        "seconds_exchange", "j_tip",
     }
 )  # fmt: skip
 
@@ -52,7 +52,7 @@ _OFTEN_ABSENT = ("continuum_load_work", "continuum_interface_work", "continuum_d
 
 def shown(name: str) -> bool:
     """Return whether some figure shows a series."""
-    return name in SHOWN or re.fullmatch(r"tip_\d+_[01]_(j|k_1|k_2|length)", name) is not None
+    return name in SHOWN or re.fullmatch(r"tip_\d+_[01]_(j|k_1|k_2|length)|j_(contour|domain)_.*", name) is not None
 
 
 class Curves:
@@ -119,6 +119,7 @@ def series_pictures(results: Results, scene: Scene, summary: Summary | None) -> 
         found = [
             _load(curves, scene),
             _crack(curves, scene),
+            _atomistic_j(curves, scene),
             _tips(curves, scene),
             _energies(curves),
             _temperatures(curves, scene),
@@ -169,6 +170,52 @@ def _crack(curves: Curves, scene: Scene) -> Picture | None:
                 panel.axvline(curves.time[more[0]], color=PALE, linewidth=0.9, linestyle="--")
     caption = "J is estimated from the displacement of the edges (long strip). Dashed: the first bond breaks."
     return picture(figure, "Crack", caption)
+
+
+def _atomistic_j(curves: Curves, scene: Scene) -> Picture | None:
+    """Draw J from the atoms over time with its standard error, its mean beside (Fig 5.3)."""
+    table = scene.atomistic.j if scene.atomistic is not None else None
+    if table is None or not curves.has("j_contour_0"):
+        return None
+    figure, (axes,) = panels(1, 3.2)
+    colours = (BLUE, GREEN, PURPLE, SKY, RED)
+    for number, size in enumerate(table.half_sizes):
+        if not curves.has(f"j_contour_{number}"):
+            continue
+        colour = colours[number % len(colours)]
+        value, error = curves.get(f"j_contour_{number}"), curves.get(f"j_contour_error_{number}")
+        there = np.isfinite(value)
+        time, value, error = curves.time[there], value[there], error[there]
+        axes.fill_between(time, value - error, value + error, color=colour, alpha=0.2, linewidth=0)
+        mean, spread = mean_and_error(value)
+        axes.plot(time, value, "-o", color=colour, markersize=2.5, linewidth=1.2,
+                  label=f"{size / ANGSTROM:.3g} Å: {mean:.3g} ± {spread:.2g}")  # fmt: skip
+        domain = curves.get(f"j_domain_{number}")[there]
+        axes.plot(time, domain, ":", color=colour, linewidth=1.0)
+    if curves.has("j_boundary"):
+        curves.draw(axes, "j_boundary", "edges", INK, dash="--")
+    axes.set(xlabel=curves.time_label, ylabel="J (J/m²)")
+    _legend(axes)
+    caption = (
+        "J from the atoms along square contours of the given half size around the tip, each value of the mean over"
+        f" {table.interval} coupling steps, with its standard error; dotted over the domain inside. The legend has"
+        " the mean over time and its standard error. Dashed: from the displacement of the edges."
+    )
+    return picture(figure, "J from the atoms", caption)
+
+
+def mean_and_error(values: FloatArray) -> tuple[float, float]:
+    """Return the mean of a series and the standard error of it, neighbours merged as long as there are eight."""
+    mean = float(np.mean(values))
+    largest = 0.0
+    blocks = values
+    while len(blocks) >= 2:
+        largest = max(largest, float(np.std(blocks, ddof=1) / np.sqrt(len(blocks))))
+        if len(blocks) < 16:
+            break
+        even = 2 * (len(blocks) // 2)
+        blocks = 0.5 * (blocks[0:even:2] + blocks[1:even:2])
+    return mean, largest
 
 
 def _tips(curves: Curves, scene: Scene) -> Picture | None:

@@ -20,6 +20,7 @@ DIMENSIONS: dict[str, tuple[str, str]] = {
     "time": ("s", "0.5 fs"),
     "temperature": ("K", "300 K"),
     "pressure": ("Pa", "800 GPa"),
+    "force": ("N", "0.1 nN"),
     "stiffness": ("N/m", "20 eV/angstrom^2"),
     "rate": ("1/s", "0.1 1/ps"),
     "density": ("kg/m^3", "2.2 g/cm^3"),
@@ -142,6 +143,7 @@ Time = Annotated[float, Quantity("time", "zero")]
 PositiveTime = Annotated[float, Quantity("time", "positive")]
 Temperature = Annotated[float, Quantity("temperature", "zero")]
 PositivePressure = Annotated[float, Quantity("pressure", "positive")]
+PositiveForce = Annotated[float, Quantity("force", "positive")]
 PositiveStiffness = Annotated[float, Quantity("stiffness", "positive")]
 Rate = Annotated[float, Quantity("rate", "zero")]
 PositiveDensity = Annotated[float, Quantity("density", "positive")]

@@ -1,20 +1,23 @@
-"""Anchors: points that hold atoms by springs and dampers, inside LAMMPS.
+"""Anchors: points that hold atoms by springs and dampers (Eqs 82, 85-87 of the dissertation).
 
-The force on an anchored atom is k (a - r) + gamma (v_a - v) plus the thermostat's noise (Eq 85-86 of the
-dissertation, with a damper relative to the anchor's velocity). ``fix addforce`` applies k a + gamma v_a - k r from
-per-atom arrays; ``fix langevin`` applies -gamma v and the noise that belongs to gamma at the run's temperature.
-Per window of M steps ``fix ave/atom`` averages positions and velocities, from which the mean reaction follows.
-Nothing of this runs in Python within a window, and every part works under MPI.
+The force on an anchored atom is k (a - r) + gamma (v_a - v) plus the thermostat's noise. A passive atom has no spring:
+it sits at its anchor and moves with it, and what the other atoms pull on it goes to the continuum. A surface atom is
+held by a spring until the reference force is known; from then on the mean of what held its cell acts on it as a
+constant force instead (f_c of Eq 82), so that the atoms next to the free surface feel no surface.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from md_service import units
-
-GROUP = "handshake"
+SPRING: Final = 0
+PASSIVE: Final = 1
+SURFACE: Final = 2
+KINDS: Final = ("spring", "passive", "surface")
 
 
 @dataclass
@@ -24,15 +27,21 @@ class Anchors:
     Attributes
     ----------
     atom_id : ndarray of int64, shape (k,)
-        Row of each anchored atom in the engine's position array, from 0.
+        Row of each anchored atom in the sample, from 0.
     position, velocity : ndarray, shape (k, 3)
         Of the anchors, m and m/s.
     stiffness : ndarray, shape (k,)
-        Spring constants, N/m.
+        Spring constants, N/m; 0 for passive atoms and for released surface atoms.
     ivc : ndarray of int64, shape (k,)
         Interface volume cell of each anchor, from 0.
-    damping : float
-        Damper constant gamma, kg/s, one for all anchors; 0 for springs alone.
+    damping : ndarray, shape (k,)
+        Damper constants gamma, kg/s; 0 for springs alone. gamma is the atom's mass over one damping time.
+    kind : ndarray of int64, shape (k,)
+        `SPRING`, `PASSIVE` or `SURFACE`.
+    force : ndarray, shape (k, 3)
+        Constant compensating forces on released surface atoms, N.
+    moving : bool
+        Whether anchors move with their velocity during a window instead of standing still.
     """
 
     atom_id: NDArray[np.int64]
@@ -40,29 +49,56 @@ class Anchors:
     velocity: NDArray[np.float64]
     stiffness: NDArray[np.float64]
     ivc: NDArray[np.int64]
-    damping: float
+    damping: NDArray[np.float64]
+    kind: NDArray[np.int64]
+    force: NDArray[np.float64]
+    moving: bool = False
 
     @property
     def n_ivc(self) -> int:
         """Number of interface volume cells."""
         return int(self.ivc.max()) + 1
 
-    def spring_energy(self, atom_position: NDArray[np.float64]) -> float:
-        """Energy of all springs, J, for positions (k, 3) of the anchored atoms in m (Eq 85)."""
-        return float(0.5 * np.sum(self.stiffness[:, None] * (atom_position - self.position) ** 2))
+    @property
+    def passive(self) -> NDArray[np.bool_]:
+        """Which anchors are passive, shape (k,)."""
+        return self.kind == PASSIVE
+
+    def mean_position(self, window: int, time_step: float) -> NDArray[np.float64]:
+        """Mean over the steps 1 to M of a window that starts with the anchors at `position`, m, shape (k, 3)."""
+        if not self.moving:
+            return self.position
+        return self.position + self.velocity * (0.5 * (window + 1) * time_step)
+
+    def end_position(self, window: int, time_step: float) -> NDArray[np.float64]:
+        """Where the anchors are after M steps, m, shape (k, 3)."""
+        return self.position + self.velocity * (window * time_step) if self.moving else self.position
+
+    def spring_energy(self, atom_position: NDArray[np.float64], anchor_position: NDArray[np.float64]) -> float:
+        """Energy of all springs (Eq 85) and of the compensating forces, J, for positions (k, 3) in m."""
+        offset = atom_position - anchor_position
+        return float(0.5 * np.sum(self.stiffness[:, None] * offset**2) - np.sum(self.force * offset))
 
     def force_on_continuum(
-        self, mean_position: NDArray[np.float64], mean_velocity: NDArray[np.float64]
+        self,
+        mean_position: NDArray[np.float64],
+        mean_velocity: NDArray[np.float64],
+        mean_pair_force: NDArray[np.float64],
+        anchor_mean_position: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """Mean reaction of spring and damper on each anchor, N (Eq 86 and the damper's reaction).
+        """Mean reaction of spring and damper, or of a passive atom, on each anchor, N, shape (k, 3) (Eq 86).
 
         Parameters
         ----------
         mean_position, mean_velocity : ndarray, shape (k, 3)
             Window means of the anchored atoms, m and m/s.
+        mean_pair_force : ndarray, shape (k, 3)
+            Mean force of the other atoms on passive atoms, N.
+        anchor_mean_position : ndarray, shape (k, 3)
+            Window mean of the anchors, m.
         """
-        spring = self.stiffness[:, None] * (mean_position - self.position)
-        return spring - self.damping * (self.velocity - mean_velocity)
+        spring = self.stiffness[:, None] * (mean_position - anchor_mean_position)
+        return np.asarray(spring - self.damping[:, None] * (self.velocity - mean_velocity) + mean_pair_force)
 
     def sum_over_ivc(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
         """Sum a per-anchor array (k, 3) over the anchors of each interface volume cell, (m, 3)."""
@@ -70,22 +106,49 @@ class Anchors:
         np.add.at(total, self.ivc, force)
         return total
 
+    def release_surface(self, holding_force: NDArray[np.float64]) -> None:
+        """Replace the springs of surface atoms by the mean force of each cell that held them (Eq 82).
+
+        Parameters
+        ----------
+        holding_force : ndarray, shape (k, 3)
+            Mean force of each spring on its atom with anchors at rest, N.
+        """
+        surface = self.kind == SURFACE
+        count = np.bincount(self.ivc[surface], minlength=self.n_ivc)
+        total = self.sum_over_ivc(np.where(surface[:, None], holding_force, 0.0))
+        share = total / np.maximum(count, 1)[:, None]
+        self.force[surface] = share[self.ivc[surface]]
+        self.stiffness[surface] = 0.0
+
 
 def checked_anchors(
     atom_id: ArrayLike,
     position: ArrayLike,
     stiffness: ArrayLike,
     ivc: ArrayLike,
-    damping: ArrayLike,
-    n_atoms: int,
+    damping_time: float | None,
+    atom_mass: NDArray[np.float64],
+    kind: ArrayLike | None = None,
+    moving: bool = False,
 ) -> Anchors:
-    """Anchors at rest from a user's arrays; `damping` may be a number or k equal ones.
+    """Anchors at rest from a user's arrays.
+
+    Parameters
+    ----------
+    atom_id, position, stiffness, ivc, kind, moving
+        As in `Anchors`; without `kind` all are springs. The stiffness of passive atoms is not looked at.
+    damping_time : float or None
+        s; gamma is the atom's mass over it. None: no damper and no thermostat.
+    atom_mass : ndarray, shape (n,)
+        Mass of each atom of the sample, kg.
 
     Raises
     ------
     ValueError
         Naming the field, its value and what is allowed.
     """
+    n_atoms = len(atom_mass)
     ids = np.asarray(atom_id)
     if ids.ndim != 1 or len(ids) == 0 or not np.issubdtype(ids.dtype, np.integer):
         raise ValueError(f"atom_id has shape {ids.shape} and type {ids.dtype}; a non-empty list of integers is needed")
@@ -96,98 +159,44 @@ def checked_anchors(
     if len(np.unique(ids)) != len(ids):
         values, count = np.unique(ids, return_counts=True)
         raise ValueError(f"atom_id holds {values[count > 1][0]} more than once; one anchor per atom is allowed")
-    stiffness_array = finite_array("stiffness", stiffness, (len(ids),))
-    if not (stiffness_array > 0.0).all():
-        raise ValueError(f"stiffness holds {stiffness_array.min()} N/m; every spring needs a positive stiffness")
+    kinds = np.zeros(len(ids), dtype=np.int64) if kind is None else np.asarray(kind)
+    if kinds.shape != ids.shape or not np.issubdtype(kinds.dtype, np.integer) or not np.isin(kinds, (0, 1, 2)).all():
+        raise ValueError(f"kind has shape {kinds.shape}; {len(ids)} of 0 (spring), 1 (passive), 2 (surface) are needed")
+    springs = finite_array("stiffness", stiffness, (len(ids),))
+    springs[kinds == PASSIVE] = 0.0
+    held = springs[kinds != PASSIVE]
+    if not (held > 0.0).all():
+        raise ValueError(f"stiffness holds {held.min()} N/m; every spring needs a positive stiffness")
     cells = np.asarray(ivc)
     if cells.shape != ids.shape or not np.issubdtype(cells.dtype, np.integer) or cells.min() < 0:
         raise ValueError(f"ivc has shape {cells.shape} and type {cells.dtype}; {len(ids)} integers from 0 are needed")
-    damper = finite_array("damping", np.broadcast_to(np.asarray(damping, dtype=np.float64), ids.shape), ids.shape)
-    if damper.min() != damper.max() or damper.min() < 0.0:
-        raise ValueError(
-            f"damping runs from {damper.min()} to {damper.max()} kg/s; one value, not negative, for all anchors is "
-            "allowed, because one thermostat serves them all"
-        )
+    if damping_time is not None and not (np.isfinite(damping_time) and damping_time > 0.0):
+        raise ValueError(f"damping_time is {damping_time} s; it must be finite and positive, or absent")
+    gamma = np.zeros(len(ids)) if damping_time is None else atom_mass[ids] / damping_time
     return Anchors(
         atom_id=ids,
         position=finite_array("position", position, (len(ids), 3)),
         velocity=np.zeros((len(ids), 3)),
-        stiffness=stiffness_array,
+        stiffness=springs,
         ivc=np.array(cells, dtype=np.int64),
-        damping=float(damper[0]),
+        damping=np.where(kinds == PASSIVE, 0.0, gamma),
+        kind=np.array(kinds, dtype=np.int64),
+        force=np.zeros((len(ids), 3)),
+        moving=bool(moving),
     )
 
 
 def finite_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """A fresh float64 array of the given shape.
+
+    Raises
+    ------
+    ValueError
+        If the shape differs or a value is not finite.
+    """
     array = np.array(value, dtype=np.float64, order="C")
     if array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}; {shape} is needed")
     if not np.isfinite(array).all():
         raise ValueError(f"{name} holds values that are not finite")
     return array
-
-
-def anchor_commands() -> list[str]:
-    """LAMMPS commands that make the per-atom arrays: k, and c = k a + gamma v_a."""
-    return ["fix anchor_data all property/atom d_anchor_k d2_anchor_c 3"]
-
-
-def group_commands() -> list[str]:
-    """LAMMPS commands that group anchored and inner atoms, once the arrays are filled."""
-    return [
-        "variable is_anchored atom d_anchor_k>0",
-        f"group {GROUP} variable is_anchored",
-        "variable is_anchored delete",
-        f"group inner subtract all {GROUP}",
-    ]
-
-
-def force_commands(with_energy: bool = False) -> list[str]:
-    """LAMMPS commands that apply the anchor forces; the energy is for minimisation only."""
-    lines = [
-        f"variable anchor_f{axis} atom d2_anchor_c[{column}]-d_anchor_k*{axis}"
-        for column, axis in enumerate("xyz", start=1)
-    ]
-    fix = f"fix anchor_force {GROUP} addforce v_anchor_fx v_anchor_fy v_anchor_fz"
-    if not with_energy:
-        return [*lines, fix]
-    # With anchors at rest c / k is the anchor's position.
-    terms = "+".join(f"({axis}-d2_anchor_c[{i}]/d_anchor_k)^2" for i, axis in enumerate("xyz", start=1))
-    energy = f"variable anchor_energy atom 0.5*d_anchor_k*({terms})"
-    return [*lines, energy, f"{fix} energy v_anchor_energy", "fix_modify anchor_force energy yes"]
-
-
-def thermostat_command(group: str, temperature: float, damping_time: float, seed: int) -> str:
-    """``fix langevin`` on a group; temperature in K, damping time m/gamma in s."""
-    damp = damping_time / units.TIME
-    return f"fix thermostat {group} langevin {temperature!r} {temperature!r} {damp!r} {seed} tally yes"
-
-
-def averaging_command(window: int) -> str:
-    """``fix ave/atom`` that averages positions and velocities over windows of the given number of steps."""
-    return f"fix window_mean {GROUP} ave/atom 1 {window} {window} x y z vx vy vz"
-
-
-def write_anchor_arrays(lmp: object, anchors: Anchors, row_of_atom: NDArray[np.int64]) -> None:
-    """Write k and c = k a + gamma v_a of this rank's atoms into LAMMPS.
-
-    Parameters
-    ----------
-    lmp : lammps.lammps
-        Instance with the arrays of `anchor_commands`.
-    anchors : Anchors
-        Current anchors.
-    row_of_atom : ndarray of int64, shape (n,)
-        Row of each atom's anchor, -1 where there is none.
-    """
-    numpy_view = lmp.numpy  # type: ignore[attr-defined]
-    n_local = lmp.extract_global("nlocal")  # type: ignore[attr-defined]
-    row = row_of_atom[numpy_view.extract_atom("id")[:n_local] - 1]
-    local = np.flatnonzero(row >= 0)
-    row = row[local]
-    stiffness = anchors.stiffness[row] / units.STIFFNESS
-    carried = anchors.velocity[row] * (anchors.damping / units.FORCE)
-    numpy_view.extract_atom("d_anchor_k")[local] = stiffness
-    numpy_view.extract_atom("d2_anchor_c")[local] = (
-        stiffness[:, None] * (anchors.position[row] / units.LENGTH) + carried
-    )

@@ -1,94 +1,120 @@
 """The atoms inside LAMMPS: building them, reading them in the order of their ids, watching over them."""
 
+from __future__ import annotations
+
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from md_service import units
+from md_service.atoms import Atoms, Box
+from md_service.data_file import write_data_file
 from md_service.errors import EngineError
-from md_service.force_fields import CARBON_MASS, ForceField
+from md_service.force_fields import ForceField
 from md_service.lammps_library import LammpsSession
-from md_service.ranks import Ranks
+from md_service.ranks import OneRank, Ranks
 
-_LARGEST_STEP = 0.2  # Angstrom moved in one step: a carbon atom of 100 eV at 0.5 fs
+_LARGEST_STEP = 0.2e-10  # m moved in one step: a carbon atom of 100 eV at 0.5 fs
 _KNOBS = "try a smaller time step, softer anchors, or a force field without an abrupt cut-off"
 
 
 class AtomSystem:
-    """Carbon atoms in a box with free boundaries.
+    """A sample in LAMMPS.
 
     Positions and velocities that go in and out are SI and ordered by id; rows count from 0.
 
     Parameters
     ----------
     work_dir : Path
-        Folder of log.lammps and of changed potential files.
+        Folder of log.lammps, of the data file and of changed potential files; made if missing.
     force_field : ForceField
-        Interatomic potential.
-    reference : ndarray, shape (n, 3)
-        Positions that set the size of the box, m.
-    margin : float
-        Free space around the reference positions, m. An atom that leaves the box is lost, which is an error.
+        Interatomic potential, with its units.
+    atoms : Atoms
+        The sample; sets the size of the box.
     time_step : float
         s.
-    ranks : Ranks
+    ranks : Ranks, optional
         Ranks that share the atoms.
+    margin : float
+        Room beyond the atoms in directions that are not periodic, m. An atom that leaves it is lost, which is an
+        error.
+
+    Raises
+    ------
+    ValueError
+        If the force field does not know the sample's species.
+    EngineError
+        If LAMMPS cannot be loaded.
     """
 
     def __init__(
         self,
         work_dir: Path,
         force_field: ForceField,
-        reference: NDArray[np.float64],
-        margin: float,
+        atoms: Atoms,
         time_step: float,
-        ranks: Ranks,
+        ranks: Ranks | None = None,
+        margin: float = 20e-10,
     ) -> None:
         work_dir.mkdir(parents=True, exist_ok=True)
-        self.n_atoms = len(reference)
-        self.ranks = ranks
-        self._reference = reference
-        self._time_step = time_step
-        self._force_field_commands = force_field.commands(work_dir)
-        low, high = reference.min(axis=0) - margin, reference.max(axis=0) + margin
-        bounds = zip((low / units.LENGTH).tolist(), (high / units.LENGTH).tolist(), strict=True)
-        self._bounds = " ".join(f"{lo!r} {hi!r}" for lo, hi in bounds)
-        self.session = LammpsSession(work_dir / "log.lammps")
+        self.atoms = atoms
+        self.n_atoms = len(atoms)
+        self.mass = atoms.atom_mass
+        self.units = force_field.units
+        self.force_field = force_field
+        self.time_step = time_step
+        self.ranks: Ranks = OneRank() if ranks is None else ranks
+        self._work_dir = work_dir
+        self._force_field_commands = force_field.commands(work_dir, atoms)
+        free = ~np.array(atoms.box.periodic)
+        low, high = atoms.position.min(axis=0) - margin, atoms.position.max(axis=0) + margin
+        self._box = Box(
+            np.where(free, low, atoms.box.low), np.where(free, high, atoms.box.high), atoms.box.periodic, atoms.box.tilt
+        )
+        self.session = LammpsSession(work_dir / "log.lammps", alone=self.ranks.size == 1)
 
-    def build(self, position: NDArray[np.float64], velocity: NDArray[np.float64]) -> None:
-        """Clear LAMMPS and make the atoms anew, at LAMMPS step 0, with no fix but time integration."""
+    def build(
+        self, position: NDArray[np.float64], velocity: NDArray[np.float64] | None = None, box: Box | None = None
+    ) -> None:
+        """Clear LAMMPS and make the atoms anew, at LAMMPS step 0, with no fix but the force field's own.
+
+        Parameters
+        ----------
+        position, velocity : ndarray, shape (n, 3)
+            m, not wrapped, and m/s; at rest without velocity.
+        box : Box, optional
+            In place of the sample's, for boxes that have changed.
+        """
+        path = self._work_dir / "atoms.data"
+        if self.ranks.rank == 0:
+            atoms = replace(self.atoms, position=position, box=self._box if box is None else box)
+            write_data_file(path, atoms, self.units.name, self.force_field.atom_style, velocity)
+        self.ranks.agree(True)  # wait until the file is there
+        boundary = " ".join("p" if periodic else "f" for periodic in self.atoms.box.periodic)
         self.session.commands(
             [
                 "clear",
-                "units metal",
-                "atom_style atomic",
+                f"units {self.units.name}",
+                f"atom_style {self.force_field.atom_style}",
                 # No spatial sorting: atoms of a solid keep their neighbours, and a setup then leaves their order.
                 "atom_modify map array sort 0 0",
-                "boundary f f f",
-                "processors * * 1",
-                f"region box block {self._bounds} units box",
-                "create_box 1 box",
+                f"boundary {boundary}",
+                *(["processors * * 1"] if self.atoms.thickness is not None else []),
+                f'read_data "{path}"',
                 *self._force_field_commands,
                 "neighbor 2.0 bin",
                 "neigh_modify every 1 delay 0 check yes",
-                f"timestep {self._time_step / units.TIME!r}",
+                f"timestep {self.time_step / self.units.time!r}",
                 "thermo 0",
                 "thermo_style custom step pe",
                 "thermo_modify lost error flush no",
+                *self.force_field.fixes,
             ]
         )
-        lmp = self.session.lmp
-        made = lmp.create_atoms(
-            self.n_atoms,
-            np.arange(1, self.n_atoms + 1).tolist(),
-            np.ones(self.n_atoms, dtype=int).tolist(),
-            (position / units.LENGTH).ravel().tolist(),
-            (velocity / units.VELOCITY).ravel().tolist(),
-        )
+        made = int(self.session.lmp.get_natoms())
         if made != self.n_atoms:
             raise EngineError(f"{self.n_atoms - made} of {self.n_atoms} atoms lie outside of the box")
-        self.session.commands(["fix integrate all nve"])
 
     def local_rows(self) -> NDArray[np.int64]:
         """Rows of the atoms that this rank owns, in LAMMPS' present order."""
@@ -97,7 +123,7 @@ class AtomSystem:
         return rows
 
     def local(self, name: str) -> NDArray[np.float64]:
-        """View of a per-atom array of this rank's atoms, metal units."""
+        """View of a per-atom array of this rank's atoms, LAMMPS units."""
         lmp = self.session.lmp
         view: NDArray[np.float64] = lmp.numpy.extract_atom(name)[: lmp.extract_global("nlocal")]
         return view
@@ -108,17 +134,34 @@ class AtomSystem:
         everything[self.local_rows()] = local
         return self.ranks.sum(everything)
 
+    def box(self) -> Box:
+        """The box now, m."""
+        low, high, xy, yz, xz, _, _ = self.session.lmp.extract_box()
+        unit = self.units.length
+        return Box(np.array(low) * unit, np.array(high) * unit, self.atoms.box.periodic, np.array([xy, xz, yz]) * unit)
+
+    def local_position(self) -> NDArray[np.float64]:
+        """Positions of this rank's atoms, not wrapped, in LAMMPS units, shape (local, 3)."""
+        position = self.local("x")
+        if not any(self.atoms.box.periodic):
+            return position
+        lmp = self.session.lmp
+        bits, mask, zero = (lmp.extract_setting(name) for name in ("IMGBITS", "IMGMASK", "IMGMAX"))
+        image = self.local("image").astype(np.int64)
+        images = np.column_stack([(image >> (axis * bits) & mask) - zero for axis in range(3)])
+        return position + images @ (self.box().edges / self.units.length)
+
     def position(self) -> NDArray[np.float64]:
-        """Positions, m, shape (n, 3)."""
-        return self.gather(self.local("x")) * units.LENGTH
+        """Positions, not wrapped, m, shape (n, 3)."""
+        return self.gather(self.local_position()) * self.units.length
 
     def velocity(self) -> NDArray[np.float64]:
         """Velocities, m/s, shape (n, 3)."""
-        return self.gather(self.local("v")) * units.VELOCITY
+        return self.gather(self.local("v")) * self.units.velocity
 
     def set_velocity(self, velocity: NDArray[np.float64]) -> None:
         """Overwrite all velocities, m/s, shape (n, 3)."""
-        self.local("v")[:] = velocity[self.local_rows()] / units.VELOCITY
+        self.local("v")[:] = velocity[self.local_rows()] / self.units.velocity
 
     def run(self, steps: int, setup: bool, step: int) -> None:
         """Integrate.
@@ -142,12 +185,12 @@ class AtomSystem:
         except EngineError as error:
             raise EngineError(f"{error} (in the steps {step + 1} to {step + steps}; {self._suspect()})") from error
         velocity = self.local("v")
-        distance = np.sqrt(np.einsum("ij,ij->i", velocity, velocity).max(initial=0.0)) * self._time_step / units.TIME
-        runaway = not distance < _LARGEST_STEP
+        speed = np.sqrt(np.einsum("ij,ij->i", velocity, velocity).max(initial=0.0)) * self.units.velocity
+        runaway = not speed * self.time_step < _LARGEST_STEP
         if self.ranks.sum(np.array([float(runaway)]))[0] > 0.0:
             raise EngineError(
-                f"an atom moves {distance:.3g} A in one step, at most {_LARGEST_STEP} A is believable "
-                f"(step {step + steps}; {self._suspect()})"
+                f"an atom moves {speed * self.time_step / 1e-10:.3g} A in one step, at most "
+                f"{_LARGEST_STEP / 1e-10} A is believable (step {step + steps}; {self._suspect()})"
             )
 
     def _suspect(self) -> str:
@@ -155,26 +198,37 @@ class AtomSystem:
         rows, position, velocity = self.local_rows(), self.local("x"), self.local("v")
         missing = np.setdiff1d(np.arange(self.n_atoms), rows)
         if self.ranks.size == 1 and len(missing):
-            place = self._reference[missing[0]] / units.LENGTH
+            place = self.atoms.position[missing[0]]
             return f"atom {missing[0]}, at the start at {_place(place)}, was lost; {_KNOBS}"
         speed = np.sqrt(np.einsum("ij,ij->i", velocity, velocity))
         speed = np.where(np.isfinite(speed) & np.isfinite(position).all(axis=1), speed, np.inf)
         if len(speed) == 0:
             return _KNOBS
         worst = int(np.argmax(speed))
-        return f"fastest is atom {rows[worst]} at {_place(position[worst])} with {speed[worst]:.3g} A/ps; {_KNOBS}"
+        fast = speed[worst] * self.units.velocity
+        place = position[worst] * self.units.length
+        return f"fastest is atom {rows[worst]} at {_place(place)} with {fast:.3g} m/s; {_KNOBS}"
 
-    def kinetic_energy(self, of: NDArray[np.bool_]) -> tuple[float, float]:
-        """Kinetic energy, J, of the atoms in a mask (n,) and of the others, this rank's atoms only."""
+    def kinetic_energy(self, group: NDArray[np.int64], groups: int) -> NDArray[np.float64]:
+        """Kinetic energy of this rank's atoms by group, J, shape (groups,).
+
+        Parameters
+        ----------
+        group : ndarray of int64, shape (n,)
+            Group of each atom, from 0.
+        groups : int
+            Number of groups.
+        """
         velocity = self.local("v")
-        energy = 0.5 * CARBON_MASS * units.VELOCITY**2 * np.einsum("ij,ij->i", velocity, velocity)
-        chosen = of[self.local_rows()]
-        return float(energy[chosen].sum()), float(energy[~chosen].sum())
+        rows = self.local_rows()
+        energy = 0.5 * self.units.velocity**2 * self.mass[rows] * np.einsum("ij,ij->i", velocity, velocity)
+        total: NDArray[np.float64] = np.bincount(group[rows], weights=energy, minlength=groups).astype(np.float64)
+        return total
 
     def potential_energy(self) -> float:
         """Potential energy at the end of the last run, J; without the anchors' springs."""
-        return float(self.session.lmp.get_thermo("pe")) * units.ENERGY
+        return float(self.session.lmp.get_thermo("pe")) * self.units.energy
 
 
-def _place(angstrom: NDArray[np.float64]) -> str:
-    return "(" + ", ".join(f"{value:.2f}" for value in angstrom) + ") A"
+def _place(position: NDArray[np.float64]) -> str:
+    return "(" + ", ".join(f"{value / 1e-10:.2f}" for value in position) + ") A"

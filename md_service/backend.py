@@ -1,4 +1,4 @@
-"""Announces the LAMMPS backend of the atomistic role; cheap to import."""
+"""Announces the backends of the atomistic role; cheap to import."""
 
 from __future__ import annotations
 
@@ -18,6 +18,25 @@ BACKEND = Backend(
         "rebo": 1.6e-6,
         "lcbop": 1.7e-6,
     },
+    default=True,
+)
+LATTICE = Backend(
+    name="lattice",
+    role="atomistic",
+    summary="harmonic lattice in numba, for teaching and fast tests",
+    factory="md_service.service:make_lattice",
+)
+OPENMM = Backend(
+    name="openmm",
+    role="atomistic",
+    summary="OpenMM: Lennard-Jones and OPLS-AA",
+    factory="md_service.service:make_openmm",
+)
+ASE = Backend(
+    name="ase",
+    role="atomistic",
+    summary="any calculator of ASE",
+    factory="md_service.service:make_ase",
 )
 
 

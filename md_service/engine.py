@@ -1,123 +1,92 @@
-"""The atomistic solver: LAMMPS with anchors, advanced in windows of M steps.
+"""The atomistic solver: atoms of any code (`md_service.dynamics`), advanced in windows of M steps.
 
-All quantities are SI. Atom ids are rows of the position array that the engine was made with, from 0.
+All quantities are SI. Atom ids are rows of the sample, from 0.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable
-from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from md_service.anchored_atoms import AnchoredAtoms
-from md_service.anchors import Anchors, checked_anchors, finite_array
-from md_service.atom_fields import COLLECTED_FIELDS, FIELD_NAMES, FieldCollector
-from md_service.atom_system import AtomSystem
+from md_service.anchors import SURFACE, Anchors, checked_anchors, finite_array
 from md_service.bonds import BondReport, Bonds
+from md_service.dynamics import Dynamics, Window
+from md_service.ensembles import Ensemble
 from md_service.errors import EngineError
+from md_service.field_means import FIELD_NAMES, FieldMeans
 from md_service.force_fields import ForceField
-from md_service.force_fields import force_field as profile_of
-from md_service.graphene import GRAPHENE_THICKNESS, CrackCut, area_per_atom
 from md_service.ranks import OneRank, Ranks
-from md_service.results import Advance, Energies, Reference
-from md_service.statistics import HISTORY_LENGTH, MINIMUM_WINDOWS, block_standard_error, scatter_about_line
+from md_service.results import Advance, Equilibration, Reference
+from md_service.settling import Settler
+from md_service.statistics import (
+    HISTORY_LENGTH,
+    MINIMUM_WINDOWS,
+    estimate,
+    scatter_about_line,
+    windows_needed,
+)
+from md_service.units import BOLTZMANN
 
 Progress = Callable[[int, int], None]
 
-_CHUNK = 200  # steps between two calls of a progress callback
+_CHUNK: Final = 200  # steps between two calls of a progress callback
+_STARTING_DAMPING_TIME: Final = 5e-14  # s
+_ENGINE: Final = "engine_"  # before the names of the engine's own arrays in a state
+_REFERENCE_NUMBERS: Final = ("temperature", "temperature_inner", "temperature_handshake", "temperature_error")
 
 
-class LammpsEngine:
-    """Atoms, anchors and their time integration.
+class Engine:
+    """Reference forces, standard errors, broken bonds, fields and checkpoints on top of any `Dynamics`.
 
     Parameters
     ----------
-    work_dir : Path
-        Folder of log.lammps; made if missing.
-    force_field : ForceField or str
-        Profile or its name.
-    position : array_like, shape (n, 3)
-        Carbon atoms, undeformed, m.
+    dynamics : Dynamics
+        Atoms in motion.
     temperature : float
         K; 0 for damped motion without noise.
-    seed : int
-        Of velocities and thermostat, not negative.
-    time_step : float, optional
-        s; the profile's own without it.
-    margin : float
-        Free space around the atoms, m; leaving it is an error.
-    crack : CrackCut, optional
-        Initial slit, from which crack growth is counted.
-    lattice_constant : float, optional
-        Carbon-carbon distance, m, for the volume of an atom; the profile's at 0 K without it.
-    thickness : float
-        Of the sheet, m, for the volume of an atom.
+    force_field : ForceField, optional
+        Gives the limits of a bond, where they are known.
     ranks : Ranks, optional
         MPI ranks; every rank makes the engine and calls its methods alike.
-
-    Raises
-    ------
-    ValueError
-        For bad input.
-    EngineError
-        If LAMMPS cannot be loaded or refuses the input.
     """
 
     def __init__(
         self,
-        work_dir: Path,
-        force_field: ForceField | str,
-        position: ArrayLike,
+        dynamics: Dynamics,
         *,
         temperature: float,
-        seed: int,
-        time_step: float | None = None,
-        margin: float = 20e-10,
-        crack: CrackCut | None = None,
-        lattice_constant: float | None = None,
-        thickness: float = GRAPHENE_THICKNESS,
+        force_field: ForceField | None = None,
         ranks: Ranks | None = None,
     ) -> None:
-        self.force_field = profile_of(force_field) if isinstance(force_field, str) else force_field
-        n_atoms = np.shape(position)[0] if np.ndim(position) else 0
-        reference = finite_array("position", position, (max(n_atoms, 1), 3))
-        self.time_step = self.force_field.time_step if time_step is None else float(time_step)
-        for name, value, lowest in (
-            ("temperature", temperature, 0.0),
-            ("seed", seed, 0),
-            ("time_step", self.time_step, np.nextafter(0.0, 1.0)),
-            ("margin", margin, 1e-10),
-            ("thickness", thickness, np.nextafter(0.0, 1.0)),
-        ):
-            if not (np.isfinite(value) and value >= lowest):
-                raise ValueError(f"{name} is {value}; it must be finite and at least {lowest:.3g}")
-        if seed > 2**53:
-            raise ValueError(f"seed is {seed}; at most {2**53} is allowed, so that a saved state can hold it")
+        self.dynamics = dynamics
+        self.atoms = dynamics.atoms
+        self.n_atoms = len(dynamics.atoms)
+        self.time_step = dynamics.time_step
         self.temperature = float(temperature)
-        self.n_atoms = n_atoms
         self.reference: Reference | None = None
         self._ranks: Ranks = OneRank() if ranks is None else ranks
-        self._bonds = Bonds(reference, self.force_field, crack)
-        self._atoms = AtomSystem(
-            Path(work_dir), self.force_field, reference, float(margin), self.time_step, self._ranks
-        )
-        a_cc = self.force_field.lattice_constant if lattice_constant is None else float(lattice_constant)
-        self._collector = FieldCollector(self._atoms, area_per_atom(a_cc) * float(thickness))
-        self._md = AnchoredAtoms(self._atoms, self._collector, self.temperature, int(seed))
+        self._bonds = Bonds(dynamics.atoms, force_field)
+        self._means = FieldMeans(dynamics)
+        self._anchor_work = 0.0
+        self._thermostat_work = 0.0
+        self._counted = 0.0  # the dynamics' thermostat work that is in it already
+        self._position: NDArray[np.float64] | None = None  # of the anchored atoms at the last window's end, m
         self._history = np.zeros((0, 0, 3))  # means of the latest windows per volume cell, before the reference
         self._history_window = 0
         self._closed = False
-        self._md.rebuild(reference, np.zeros_like(reference))
 
     @property
     def step(self) -> int:
         """MD steps done so far."""
-        return self._md.step
+        return self.dynamics.step
 
     @property
     def anchors(self) -> Anchors | None:
         """The anchors, once registered."""
-        return self._md.anchors
+        return self.dynamics.anchors
 
     # Anchors --------------------------------------------------------------------------------------------------
 
@@ -127,7 +96,9 @@ class LammpsEngine:
         position: ArrayLike,
         stiffness: ArrayLike,
         ivc: ArrayLike,
-        damping: ArrayLike,
+        damping_time: float | None = None,
+        kind: ArrayLike | None = None,
+        moving: bool = False,
     ) -> None:
         """Tie atoms to anchors, at rest until the first `advance`.
 
@@ -138,12 +109,16 @@ class LammpsEngine:
         position : array_like, shape (k, 3)
             Anchor positions, m.
         stiffness : array_like, shape (k,)
-            Spring constants, N/m, positive.
+            Spring constants, N/m, positive; that of passive atoms does not matter.
         ivc : array_like of int, shape (k,)
             Interface volume cell of each anchor, from 0.
-        damping : array_like
-            Damper constant gamma, kg/s: a number, or k equal ones. The thermostat acts through it; with 0 there
+        damping_time : float, optional
+            Of the dampers, s: gamma is an atom's mass over it. The thermostat acts through them; without it there
             is none.
+        kind : array_like of int, shape (k,), optional
+            0 spring, 1 passive, 2 surface (`md_service.anchors`); all springs without it.
+        moving : bool
+            Whether anchors move with their velocity during a window.
 
         Raises
         ------
@@ -151,56 +126,100 @@ class LammpsEngine:
             For bad input.
         """
         self._check_alive()
-        anchors = checked_anchors(atom_id, position, stiffness, ivc, damping, self.n_atoms)
-        self._md.adopt(anchors)
+        anchors = checked_anchors(
+            atom_id, position, stiffness, ivc, damping_time, self.atoms.atom_mass, kind, moving
+        )  # fmt: skip
+        self._adopt(anchors)
+
+    def _adopt(self, anchors: Anchors) -> None:
+        self.dynamics.adopt(anchors)
         self.reference = None
+        self._counted = 0.0
+        self._position = None
         self._forget_history()
-        self._md.reload()
 
     # Long runs with anchors at rest ---------------------------------------------------------------------------
 
-    def equilibrate(self, steps: int, progress: Progress | None = None) -> None:
+    def equilibrate(
+        self,
+        steps: int,
+        progress: Progress | None = None,
+        *,
+        ensemble: Ensemble | None = None,
+        keep_ensemble: bool = False,
+        settle: bool = False,
+    ) -> Equilibration:
         """Bring the atoms to the run's temperature, with anchors at rest.
 
-        The first half couples all atoms to a Langevin thermostat of 0.05 ps, starting from a draw of velocities;
-        the second half has the thermostat of the coupled run, on the anchored atoms only. At 0 K the energy is
-        minimised instead, with at most `steps` iterations, and no time passes.
+        The first half couples all atoms to a thermostat, starting from a draw of velocities at the temperature of
+        the run; the second half has the thermostat of the coupled run, on the anchored atoms only. At 0 K the energy
+        is minimised instead, with at most `steps` iterations, and no time passes.
 
         Parameters
         ----------
         steps : int
-            MD steps.
+            MD steps; the most with `settle`.
         progress : callable, optional
             Called with steps done and steps in all; may raise to stop.
+        ensemble : Ensemble, optional
+            Of the first half; Langevin with 0.05 ps without it.
+        keep_ensemble : bool
+            Whether the ensemble stays on in the second half and in the coupled run (the seed's option of a global
+            NVT).
+        settle : bool
+            Whether the second half ends as soon as energy and stress drift less than their standard errors.
+
+        Returns
+        -------
+        Equilibration
 
         Raises
         ------
         ValueError
-            If no step is asked for.
+            If no step is asked for, or an ensemble is to be kept that is not given.
         EngineError
-            If LAMMPS stops or an atom runs away.
+            If the code stops or an atom runs away.
         """
         self._check_alive()
         _at_least("steps", steps, 1)
+        if keep_ensemble and ensemble is None:
+            raise ValueError("keep_ensemble is set, but there is no ensemble to keep")
+        self._position = None
         if self.temperature == 0.0:
-            self._md.minimise(steps)
+            self.dynamics.minimise(steps)
+            self._counted = 0.0
             self._report(progress, steps, steps)
-            return
+            return Equilibration(steps, None, 0.0, 0.0, np.zeros(6), np.zeros(6))
         first = steps // 2
-        self._md.drop_window()
-        self._md.start_heating()
-        try:
-            self._run_in_chunks(first, 0, steps, progress)
-        finally:
-            if not self._md.failure:
-                self._md.end_heating()
-        self._run_in_chunks(steps - first, first, steps, progress)
-        self._md.reload()
+        start = Ensemble("langevin", self.temperature, _STARTING_DAMPING_TIME) if ensemble is None else ensemble
+        self.dynamics.draw_velocities(self.temperature)
+        self.dynamics.hold(start)
+        self._run_in_chunks(first, 0, steps, progress)
+        if not keep_ensemble:
+            self.dynamics.hold(None)
+        settler = Settler(self.dynamics, steps - first) if settle else None
+        done = first
+        while done < steps:
+            chunk = min(_CHUNK if settler is None else settler.block, steps - done)
+            self.dynamics.run(chunk)
+            done += chunk
+            self._report(progress, done, steps)
+            if settler is not None and settler.look():
+                break
+        if not keep_ensemble:
+            self.dynamics.adopt(self.anchors)
+        self._counted = 0.0
+        if settler is None:
+            return Equilibration(done, None, 0.0, 0.0, np.zeros(6), np.zeros(6))
+        return settler.result(done)
 
     def measure_reference(self, windows: int, window: int, progress: Progress | None = None) -> Reference:
         """Average the reaction over many windows with anchors at rest: the value at t_0 of Eq 87.
 
-        Its sum over all anchors is set to zero.
+        Surface atoms lose their springs first: as many windows tell the mean force that held each cell, which from
+        then on acts on its atoms as a constant one (Eq 82). The sum over all anchors is set to what the compensating
+        forces leave of it, zero without them. While fields are collected, their means over these windows become the
+        reference of energies and virials.
 
         Parameters
         ----------
@@ -220,49 +239,75 @@ class LammpsEngine:
         ValueError
             For bad input.
         EngineError
-            If there are no anchors, LAMMPS stops or an atom runs away.
+            If there are no anchors, the code stops or an atom runs away.
         """
         _at_least("windows", windows, MINIMUM_WINDOWS)
         _at_least("window", window, 1)
         anchors = self._anchors_at_hand()
         anchors.velocity[:] = 0.0
-        self._md.write_anchors()
+        held_surface = (anchors.kind == SURFACE) & (anchors.stiffness > 0.0)
+        rounds = 2 if held_surface.any() else 1
+        if rounds == 2:
+            self.dynamics.move_anchors()
+            total = np.zeros_like(anchors.position)
+            for done in range(windows):
+                total += self._window(window)[0]
+                self._report(progress, done + 1, rounds * windows)
+            anchors.release_surface(-total / windows)
+            self._adopt(anchors)
+        self.dynamics.move_anchors()
+        self._means.reset()
         total = np.zeros_like(anchors.position)
         series = np.zeros((windows, anchors.n_ivc, 3))
-        temperatures = np.zeros(3)
+        temperatures = np.zeros((windows, 3))
         for done in range(windows):
-            force, energies = self._window(window)
+            force, last = self._window(window)
             total += force
             series[done] = anchors.sum_over_ivc(force)
-            temperatures += [energies.temperature, energies.temperature_inner, energies.temperature_handshake]
-            self._report(progress, done + 1, windows)
-        temperatures /= windows
+            temperatures[done] = self._temperatures(last)
+            self._report(progress, (rounds - 1) * windows + done + 1, rounds * windows)
         mean = total / windows
-        # The momentum of a sample that is held stays bounded, so the sum over all anchors is zero in the long
-        # run; what a finite average leaves of it is noise, and would push the whole body for the whole run.
-        mean -= mean.mean(axis=0)
+        # The momentum of a sample that is held stays bounded, so reactions and compensating forces are in balance in
+        # the long run; what a finite average leaves is noise, and would push the whole body for the whole run.
+        mean += (anchors.force.sum(axis=0) - mean.sum(axis=0)) / len(mean)
+        if self._means.samples:
+            self._means.keep_as_reference()
+        overall = temperatures.mean(axis=0)
         self.reference = Reference(
             anchor_force=mean,
             ivc_force=anchors.sum_over_ivc(mean),
-            ivc_standard_error=block_standard_error(series),
+            ivc_standard_error=estimate(series, window * self.time_step).standard_error,
             window_standard_deviation=np.std(series, axis=0, ddof=1),
-            temperature=float(temperatures[0]),
-            temperature_inner=float(temperatures[1]),
-            temperature_handshake=float(temperatures[2]),
+            temperature=float(overall[0]),
+            temperature_inner=float(overall[1]),
+            temperature_handshake=float(overall[2]),
+            temperature_error=float(estimate(temperatures[:, 0], window * self.time_step).standard_error),
         )
         return self.reference
 
     # The coupling step ----------------------------------------------------------------------------------------
 
-    def advance(self, window: int, anchor_position: ArrayLike, anchor_velocity: ArrayLike) -> Advance:
-        """Set the anchors, hold them, integrate M steps and answer the mean reaction (Eq 87).
+    def advance(
+        self,
+        window: int,
+        anchor_position: ArrayLike,
+        anchor_velocity: ArrayLike,
+        until_error: float | None = None,
+        most_windows: int = 1,
+    ) -> Advance:
+        """Set the anchors, integrate M steps and answer the mean reaction (Eq 87).
 
         Parameters
         ----------
         window : int
             Steps M.
         anchor_position, anchor_velocity : array_like, shape (k, 3)
-            m and m/s. Anchors do not move within the window; the velocity serves the damper.
+            m and m/s, at the window's start. Held anchors do not move within the window; the velocity serves the
+            damper.
+        until_error : float, optional
+            N. Windows are added, with the anchors held, until no component of `ivc_standard_error` is above it.
+        most_windows : int
+            The most windows then.
 
         Returns
         -------
@@ -271,61 +316,136 @@ class LammpsEngine:
         Raises
         ------
         ValueError
-            For bad input.
+            For bad input, or if moving anchors should wait for an error.
         EngineError
-            If there are no anchors or no reference, LAMMPS stops or an atom runs away.
+            If there are no anchors or no reference, the code stops or an atom runs away.
         """
         _at_least("window", window, 1)
+        _at_least("most_windows", most_windows, 1)
         anchors = self._anchors_at_hand()
         reference = self.reference
         if reference is None:
             raise EngineError("there is no reference force yet: call measure_reference before advance")
+        if until_error is not None and not (np.isfinite(until_error) and until_error > 0.0):
+            raise ValueError(f"until_error is {until_error} N; it must be finite and positive")
+        if until_error is not None and anchors.moving:
+            raise ValueError("until_error is set, but the anchors move; only held anchors can wait for an error")
         shape = anchors.position.shape
         new_position = finite_array("anchor_position", anchor_position, shape)
         new_velocity = finite_array("anchor_velocity", anchor_velocity, shape)
         anchors.position, anchors.velocity = new_position, new_velocity
-        self._md.write_anchors()
-        force, energies = self._window(window)
-        net = force - reference.anchor_force
+        self.dynamics.move_anchors()
+        total, last = self._window(window)
+        series = [anchors.sum_over_ivc(total)]
+        error = self._error_of_mean(series)
+        while until_error is not None and len(series) < most_windows and error.max(initial=0.0) > until_error:
+            # At most doubled, since the error is itself an estimate.
+            wanted = min(most_windows, 2 * len(series), windows_needed(error, len(series), until_error))
+            for _ in range(max(1, wanted - len(series))):
+                force, last = self._window(window)
+                total += force
+                series.append(anchors.sum_over_ivc(force))
+            error = self._error_of_mean(series)
+        net = total / len(series) - reference.anchor_force
+        everything, inner, handshake = self._temperatures(last)
+        kinetic = last.kinetic_handshake + last.kinetic_inner
         return Advance(
-            **vars(energies),
             step=self.step,
+            windows=len(series),
             anchor_force=net,
             ivc_force=anchors.sum_over_ivc(net),
-            ivc_standard_error=self._window_error(),
+            ivc_standard_error=error,
+            correlation_time=self._correlation_time(),
+            temperature=everything,
+            temperature_inner=inner,
+            temperature_handshake=handshake,
+            potential_energy=last.potential_energy,
+            kinetic_energy=kinetic,
+            spring_energy=anchors.spring_energy(last.position, anchors.end_position(window, self.time_step)),
+            anchor_work=self._anchor_work,
+            thermostat_work=self._thermostat_work,
         )
 
-    def _window(self, window: int) -> tuple[NDArray[np.float64], Energies]:
-        """Run one window and remember its mean force per volume cell."""
-        force, energies = self._md.run_window(window)
+    def _window(self, window: int) -> tuple[NDArray[np.float64], Window]:
+        """Run one window; count its work and remember its mean force per volume cell."""
+        anchors = self._anchors_at_hand()
+        before = self.dynamics.position()[anchors.atom_id] if self._position is None else self._position
+        last = self.dynamics.run_window(window)
+        self._position = last.position
+        mean_anchor = anchors.mean_position(window, self.time_step)
+        force = anchors.force_on_continuum(
+            last.mean_position, last.mean_velocity, last.mean_pair_force, mean_anchor
+        )  # fmt: skip
+        work = anchors.spring_energy(before, anchors.position)
+        work -= anchors.spring_energy(last.position, anchors.end_position(window, self.time_step))
+        if anchors.moving:
+            spring = anchors.stiffness[:, None] * (last.mean_position - mean_anchor)
+            work -= window * self.time_step * float(np.sum(anchors.velocity * (spring - anchors.force)))
+        thermostat = last.thermostat_work - self._counted
+        self._counted = last.thermostat_work
+        self._thermostat_work += thermostat
+        self._anchor_work += work + thermostat
+        self._means.add(last)
         if window != self._history_window:
             self._forget_history()
             self._history_window = window
-        by_cell = self._anchors_at_hand().sum_over_ivc(force)
-        self._history = np.concatenate([self._history, by_cell[None]])[-HISTORY_LENGTH:]
-        return force, energies
+        self._history = np.concatenate([self._history, anchors.sum_over_ivc(force)[None]])[-HISTORY_LENGTH:]
+        return force, last
+
+    def _error_of_mean(self, series: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Standard error of the mean of the latest windows, N, shape (m, 3)."""
+        windows = len(series)
+        if windows >= MINIMUM_WINDOWS:
+            return estimate(np.array(series), self._history_window * self.time_step).standard_error
+        single = self._window_error()
+        if windows == 1 or len(self._history) < MINIMUM_WINDOWS:
+            return single  # a few windows may be one as good as another
+        independent = windows * self._history_window * self.time_step / (2.0 * self._correlation_time())
+        return single / np.sqrt(min(max(independent, 1.0), float(windows)))
 
     def _window_error(self) -> NDArray[np.float64]:
         if len(self._history) >= MINIMUM_WINDOWS or self.reference is None:
             return scatter_about_line(self._history)
         return self.reference.window_standard_deviation.copy()
 
+    def _correlation_time(self) -> float:
+        if len(self._history) < MINIMUM_WINDOWS:
+            return float("nan")
+        time = np.arange(len(self._history)) - 0.5 * (len(self._history) - 1)
+        flat = self._history.reshape(len(time), -1)
+        straight = np.outer(time, time @ flat / (time @ time))
+        return float(estimate(flat - straight, self._history_window * self.time_step).correlation_time.max())
+
     def _forget_history(self) -> None:
         n_ivc = 0 if self.anchors is None else self.anchors.n_ivc
         self._history = np.zeros((0, n_ivc, 3))
         self._history_window = 0
+
+    def _temperatures(self, last: Window) -> tuple[float, float, float]:
+        """Of all atoms that are not passive, of the inner and of the anchored ones, K."""
+        anchors = self._anchors_at_hand()
+        passive = int(np.count_nonzero(anchors.passive))
+        handshake = len(anchors.atom_id) - passive
+        inner = self.n_atoms - handshake - passive
+        kinetic = last.kinetic_handshake + last.kinetic_inner
+        freedom = self.dynamics.dimension * BOLTZMANN
+        return (
+            2.0 * kinetic / (freedom * (inner + handshake)) if inner + handshake else 0.0,
+            2.0 * last.kinetic_inner / (freedom * inner) if inner else 0.0,
+            2.0 * last.kinetic_handshake / (freedom * handshake) if handshake else 0.0,
+        )
 
     # What can be looked at ------------------------------------------------------------------------------------
 
     def broken_bonds(self) -> BondReport:
         """Broken bonds, the crack tip, and bonds that stick at the potential's cut-off."""
         self._check_alive()
-        return self._bonds.report(self._atoms.position())
+        return self._bonds.report(self.dynamics.position())
 
     def collect_fields(self, active: bool) -> None:
-        """Start or stop collecting mean positions, stresses and energies at the ends of windows.
+        """Start or stop collecting mean positions, virials and energies at the ends of windows.
 
-        Starting forgets earlier samples.
+        Starting forgets earlier samples; start before `measure_reference` to have reference means too.
 
         Parameters
         ----------
@@ -333,56 +453,46 @@ class LammpsEngine:
             Whether to collect.
         """
         self._check_alive()
-        self._md.drop_window()
-        self._collector.active = active
-        if active:
-            self._collector.reset()
+        self._means.collect(active)
 
     def fields(self, names: Iterable[str]) -> dict[str, NDArray[np.float64]]:
-        """Per-atom fields in the order of ids.
-
-        Parameters
-        ----------
-        names : iterable of str
-            ``position`` (m) and ``velocity`` (m/s), shape (n, 3), are those of this moment. ``mean_position``
-            (m, shape (n, 3)), ``stress`` (Pa, shape (n, 6): xx, yy, zz, xy, xz, yz, the virial of the pair
-            potential, tension positive) and ``energy`` (J, shape (n,)) are means over the window ends since
-            `collect_fields`; where there are none they are of this moment, which costs a new setup.
+        """Per-atom fields in the order of ids; see `md_service.field_means.FIELD_NAMES`.
 
         Raises
         ------
         ValueError
             For an unknown name.
+        EngineError
+            If the code does not know virials of atoms.
         """
         self._check_alive()
         wanted = tuple(names)
         for name in wanted:
             if name not in FIELD_NAMES:
                 raise ValueError(f"names holds {name!r}; known fields are {', '.join(FIELD_NAMES)}")
-        collected = tuple(name for name in wanted if name in COLLECTED_FIELDS)
-        found = self._collected(collected) if collected else {}
-        if "position" in wanted:
-            found["position"] = self._atoms.position()
-        if "velocity" in wanted:
-            found["velocity"] = self._atoms.velocity()
-        return {name: found[name] for name in wanted}
+        return self._means.fields(wanted)
 
-    def _collected(self, names: tuple[str, ...]) -> dict[str, NDArray[np.float64]]:
-        if self._collector.samples:
-            return self._collector.means(names)
-        self._md.sample_now()
-        means = self._collector.means(names)
-        self._collector.reset()
-        return means
+    def reference_fields(self) -> dict[str, NDArray[np.float64]]:
+        """Mean position (m), virial and energy (J) of each atom at rest, against which J is taken.
+
+        Raises
+        ------
+        EngineError
+            If no fields were collected during `measure_reference`.
+        """
+        reference = self._means.reference
+        if len(reference) == 0:
+            raise EngineError("there are no reference fields: call collect_fields before measure_reference")
+        position, virial, energy = reference[:, :3], reference[:, 3:9], reference[:, 9]
+        return {"mean_position": position.copy(), "virial": virial.copy(), "energy": energy.copy()}
 
     # State ----------------------------------------------------------------------------------------------------
 
     def state(self) -> dict[str, NDArray[np.float64]]:
         """Everything a run needs to go on, and go on from it.
 
-        The engine itself is rebuilt from the state it returns, with the thermostat seeded anew from seed and
-        step. So a run that takes a state and a run that is restored from it do the same, bit by bit, on the same
-        number of ranks.
+        The engine itself goes on from the state it returns, so that a run that takes a state and a run that is
+        restored from it do the same, bit by bit, on the same number of ranks.
 
         Returns
         -------
@@ -390,27 +500,22 @@ class LammpsEngine:
             For `restore`, of this engine or of one made with the same arguments.
         """
         self._check_alive()
-        state = self._collected_state()
-        self.restore(state)
-        return state
+        own = self._own_state()
+        state = {name: np.array(value, dtype=np.float64) for name, value in self.dynamics.state().items()}
+        self._counted = 0.0
+        self._position = None
+        return {**state, **{_ENGINE + name: np.array(value, dtype=np.float64) for name, value in own.items()}}
 
-    def _collected_state(self) -> dict[str, NDArray[np.float64]]:
-        state = {
-            "position": self._atoms.position(),
-            "velocity": self._atoms.velocity(),
-            "counters": np.array([self.step, self._md.seed, self._history_window], dtype=np.float64),
+    def _own_state(self) -> dict[str, Any]:
+        own: dict[str, Any] = {
+            # The first counter is the step, for all engines.
+            "counters": np.array([self.step, self._history_window, self._anchor_work, self._thermostat_work]),
             "history": self._history,
-            "anchor_work": np.array([self._md.anchor_work]),
-            "collected_sum": self._ranks.sum(self._collector.sum),
-            "collected_samples": np.array([self._collector.samples, self._collector.active], dtype=np.float64),
+            **self._means.state(),
         }
-        if self.anchors is not None:
-            for name in _ANCHOR_ARRAYS:
-                state[f"anchor_{name}"] = np.array(getattr(self.anchors, name), dtype=np.float64)
         if self.reference is not None:
-            for name, value in vars(self.reference).items():
-                state[f"reference_{name}"] = np.array(value, dtype=np.float64)
-        return {name: np.array(value, dtype=np.float64) for name, value in state.items()}
+            own.update({f"reference_{name}": value for name, value in vars(self.reference).items()})
+        return own
 
     def restore(self, state: dict[str, NDArray[np.float64]]) -> None:
         """Go back to a state.
@@ -427,53 +532,38 @@ class LammpsEngine:
         """
         if self._closed:
             raise EngineError("the engine is closed")
-        missing = [name for name in _STATE_ARRAYS if name not in state]
+        own = {name.removeprefix(_ENGINE): value for name, value in state.items() if name.startswith(_ENGINE)}
+        expected = {name: np.shape(value) for name, value in self._means.state().items()}
+        missing = [name for name in ("counters", "history", *expected) if name not in own]
         if missing:
-            raise ValueError(f"state lacks {', '.join(missing)}; only what the method state answers can be restored")
-        for name, mine in self._collected_state().items():
-            # The history grows with the run; all else has the shape that sample and anchors give it.
-            if name != "history" and name in state and np.shape(state[name]) != mine.shape:
-                raise ValueError(f"state.{name} has shape {np.shape(state[name])}, must have {mine.shape}")
-        shape = (self.n_atoms, 3)
-        position = finite_array("position", state["position"], shape)
-        velocity = finite_array("velocity", state["velocity"], shape)
-        self._md.step, self._md.seed, self._history_window = (int(value) for value in state["counters"])
-        self._history = np.array(state["history"])
-        self._md.anchor_work = float(state["anchor_work"][0])
-        # The sum is over ranks already: rank 0 carries it on.
-        self._collector.sum = np.array(state["collected_sum"]) * float(self._ranks.rank == 0)
-        self._collector.samples = int(state["collected_samples"][0])
-        self._collector.active = bool(state["collected_samples"][1])
-        anchors = None
-        if "anchor_atom_id" in state:
-            values = {name: np.array(state[f"anchor_{name}"]) for name in _ANCHOR_ARRAYS}
-            anchors = Anchors(
-                atom_id=values["atom_id"].astype(np.int64),
-                position=values["position"],
-                velocity=values["velocity"],
-                stiffness=values["stiffness"],
-                ivc=values["ivc"].astype(np.int64),
-                damping=float(values["damping"]),
-            )
-        self._md.adopt(anchors)
+            raise ValueError(
+                f"state lacks {_ENGINE}{missing[0]}; only what the method state answers can be restored"
+            )  # fmt: skip
+        for name, shape in expected.items():
+            if name != "collected_reference":  # empty before the reference was measured
+                finite_array(f"state.{_ENGINE}{name}", own[name], shape)
+        counters = finite_array(f"state.{_ENGINE}counters", own["counters"], (4,))
+        self.dynamics.restore({name: value for name, value in state.items() if not name.startswith(_ENGINE)})
+        self._history_window = int(counters[1])
+        self._anchor_work, self._thermostat_work = float(counters[2]), float(counters[3])
+        self._history = np.array(own["history"])
+        self._counted = 0.0
+        self._position = None
+        self._means.restore(own)
         self.reference = None
-        if "reference_anchor_force" in state:
-            self.reference = Reference(
-                anchor_force=np.array(state["reference_anchor_force"]),
-                ivc_force=np.array(state["reference_ivc_force"]),
-                ivc_standard_error=np.array(state["reference_ivc_standard_error"]),
-                window_standard_deviation=np.array(state["reference_window_standard_deviation"]),
-                temperature=float(state["reference_temperature"]),
-                temperature_inner=float(state["reference_temperature_inner"]),
-                temperature_handshake=float(state["reference_temperature_handshake"]),
-            )
-        self._md.rebuild(position, velocity)
+        if "reference_anchor_force" in own:
+            values: dict[str, Any] = {
+                name.removeprefix("reference_"): value for name, value in own.items() if name.startswith("reference_")
+            }
+            for name in _REFERENCE_NUMBERS:
+                values[name] = float(values[name])
+            self.reference = Reference(**values)
 
     def close(self) -> None:
-        """Free LAMMPS; calling it again does nothing."""
+        """Free the code; calling it again does nothing."""
         if not self._closed:
             self._closed = True
-            self._atoms.session.close()
+            self.dynamics.close()
 
     # Inside ---------------------------------------------------------------------------------------------------
 
@@ -481,7 +571,7 @@ class LammpsEngine:
         done = 0
         while done < steps:
             chunk = min(_CHUNK, steps - done)
-            self._md.run(chunk)
+            self.dynamics.run(chunk)
             done += chunk
             self._report(progress, before + done, total)
 
@@ -505,15 +595,8 @@ class LammpsEngine:
     def _check_alive(self) -> None:
         if self._closed:
             raise EngineError("the engine is closed")
-        if self._md.failure:
-            raise EngineError(f"the engine stopped earlier and needs a restore: {self._md.failure}")
-
-
-_STATE_ARRAYS = (
-    *("position", "velocity", "counters", "history"),
-    *("anchor_work", "collected_sum", "collected_samples"),
-)
-_ANCHOR_ARRAYS = ("atom_id", "position", "velocity", "stiffness", "ivc", "damping")
+        if self.dynamics.failure:
+            raise EngineError(f"the engine stopped earlier and needs a restore: {self.dynamics.failure}")
 
 
 def _at_least(name: str, value: int, lowest: int) -> None:

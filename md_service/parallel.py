@@ -5,19 +5,24 @@ Every rank makes the same engine and calls the same methods with the same argume
 other ranks sit in `follow`.
 """
 
+from __future__ import annotations
+
 import inspect
 import traceback
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from md_service.engine import LammpsEngine
+from md_service.atoms import Atoms, Box, CrackCut, Topology
+from md_service.engine import Engine
+from md_service.ensembles import Ensemble
 from md_service.errors import EngineError
-from md_service.force_fields import force_field
-from md_service.graphene import CrackCut
+from md_service.force_fields import FORCE_FIELDS, ForceField, force_field
+from md_service.lammps_dynamics import LammpsDynamics
 from md_service.ranks import MpiRanks
 
 FOLLOWED_METHODS: Final = (
@@ -35,10 +40,10 @@ FOLLOWED_METHODS: Final = (
 
 
 class ParallelEngine:
-    """`LammpsEngine` spread over all ranks, for use on rank 0 while the others are in `follow`.
+    """`Engine` on LAMMPS spread over all ranks, for use on rank 0 while the others are in `follow`.
 
-    The methods are those of `md_service.engine.LammpsEngine`, named in `FOLLOWED_METHODS`, with arguments by
-    keyword or in order.
+    The methods are those of `md_service.engine.Engine`, named in `FOLLOWED_METHODS`, with arguments by keyword or in
+    order.
 
     Parameters
     ----------
@@ -46,33 +51,34 @@ class ParallelEngine:
         The ranks; this one must be rank 0.
     work_dir : Path
         Folder of the LAMMPS log, reachable by all ranks.
-    force_field : str
-        Name of a profile.
-    position : ndarray, shape (n, 3)
-        Atom positions, m.
-    crack : CrackCut, optional
-        Initial slit.
-    **settings
-        The engine's other arguments, numbers.
+    force_field : ForceField
+        Interatomic potential.
+    atoms : Atoms
+        The sample.
+    temperature, seed, time_step
+        As in `LammpsDynamics`.
     """
 
     def __init__(
         self,
         ranks: MpiRanks,
         work_dir: Path,
-        force_field: str,
-        position: NDArray[np.float64],
-        crack: CrackCut | None = None,
-        **settings: Any,
+        force_field: ForceField,
+        atoms: Atoms,
+        *,
+        temperature: float,
+        seed: int,
+        time_step: float,
     ) -> None:
         if ranks.rank != 0:
             raise ValueError(f"ParallelEngine was made on rank {ranks.rank}; it is for rank 0, others call follow")
         description: dict[str, Any] = {
             "work_dir": str(work_dir),
-            "force_field": force_field,
-            "position": np.ascontiguousarray(position, dtype=np.float64),
-            "crack": None if crack is None else [crack.tip_x, crack.y],
-            **settings,
+            "force_field": _packed_force_field(force_field),
+            "atoms": asdict(atoms),
+            "temperature": float(temperature),
+            "seed": int(seed),
+            "time_step": float(time_step),
         }
         self._ranks = ranks
         ranks.broadcast_call("make", description)
@@ -81,12 +87,26 @@ class ParallelEngine:
     @property
     def step(self) -> int:
         """MD steps done so far."""
-        return int(self._engine.step)
+        return self._engine.step
+
+    @property
+    def temperature(self) -> float:
+        """Of the run, K."""
+        return self._engine.temperature
 
     @property
     def n_atoms(self) -> int:
         """Number of atoms."""
-        return int(self._engine.n_atoms)
+        return self._engine.n_atoms
+
+    @property
+    def atoms(self) -> Atoms:
+        """The sample."""
+        return self._engine.atoms
+
+    def reference_fields(self) -> dict[str, NDArray[np.float64]]:
+        """As `Engine.reference_fields`; every rank holds them."""
+        return self._engine.reference_fields()
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
         if name not in FOLLOWED_METHODS:
@@ -99,7 +119,8 @@ class ParallelEngine:
             for key, value in by_name.items():
                 if isinstance(value, (list, tuple)) and not all(isinstance(entry, str) for entry in value):
                     by_name[key] = np.asarray(value)
-            self._ranks.broadcast_call(name, by_name)
+            sent = {key: asdict(value) if isinstance(value, Ensemble) else value for key, value in by_name.items()}
+            self._ranks.broadcast_call(name, sent)
             if progress is not None:
                 by_name["progress"] = progress
             return method(**by_name)
@@ -126,6 +147,8 @@ def follow(ranks: MpiRanks) -> None:
             if method == "make":
                 engine = _make(ranks, arguments)
             elif method in FOLLOWED_METHODS:
+                if isinstance(arguments.get("ensemble"), dict):
+                    arguments["ensemble"] = Ensemble(**arguments["ensemble"])
                 getattr(engine, method)(**arguments)
             else:
                 raise EngineError(f"rank 0 announced the unknown method {method!r}")
@@ -137,14 +160,47 @@ def follow(ranks: MpiRanks) -> None:
             ranks.abort()
 
 
-def _make(ranks: MpiRanks, description: dict[str, Any]) -> Any:
-    settings = dict(description)
-    crack = settings.pop("crack")
-    return LammpsEngine(
-        work_dir=Path(settings.pop("work_dir")),
-        force_field=force_field(settings.pop("force_field")),
-        position=settings.pop("position"),
-        crack=None if crack is None else CrackCut(*crack),
+def _make(ranks: MpiRanks, description: dict[str, Any]) -> Engine:
+    profile = _force_field(description["force_field"])
+    temperature = description["temperature"]
+    dynamics = LammpsDynamics(
+        Path(description["work_dir"]),
+        profile,
+        _atoms(description["atoms"]),
+        temperature=temperature,
+        seed=description["seed"],
+        time_step=description["time_step"],
         ranks=ranks,
-        **settings,
+    )
+    return Engine(dynamics, temperature=temperature, force_field=profile, ranks=ranks)
+
+
+def _packed_force_field(profile: ForceField) -> dict[str, Any]:
+    """A name where there is a profile of that name, all but its lattices for a user's own."""
+    if FORCE_FIELDS.get(profile.name) == profile:
+        return {"name": profile.name}
+    return {key: value for key, value in asdict(profile).items() if not key.startswith("lattice")}
+
+
+def _force_field(packed: dict[str, Any]) -> ForceField:
+    if len(packed) == 1:
+        return force_field(packed["name"])
+    tuples = {key: tuple(value) for key, value in packed.items() if isinstance(value, (list, tuple))}
+    return ForceField(**{**packed, **tuples})
+
+
+def _atoms(packed: dict[str, Any]) -> Atoms:
+    values = dict(packed)
+    box = dict(values.pop("box"))
+    box["periodic"] = tuple(box["periodic"])
+    topology, crack = values.pop("topology"), values.pop("crack")
+    for name in ("species", "elements"):
+        values[name] = tuple(values[name])
+    if topology is not None:
+        topology = {key: value if isinstance(value, np.ndarray) else tuple(value) for key, value in topology.items()}
+    return Atoms(
+        **values,
+        box=Box(**box),
+        topology=None if topology is None else Topology(**topology),
+        crack=None if crack is None else CrackCut(**crack),
     )

@@ -1,72 +1,116 @@
-"""The atomistic role on LAMMPS: messages in, engine calls out. The only file that sees both."""
+"""The role `atomistic` on any engine: messages in, engine calls out. The only file that sees both."""
 
 from __future__ import annotations
 
 import os
 import re
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from md_service.elastic_constants import measure_graphene
-from md_service.engine import LammpsEngine
+from md_service.atoms import Atoms, CrackCut
+from md_service.bonds import Bonds
+from md_service.engine import Engine
+from md_service.engines import LAMMPS, EngineFactory, LammpsFactory
+from md_service.ensembles import Ensemble
 from md_service.errors import EngineError
-from md_service.force_fields import CARBON_MASS, FORCE_FIELDS, ForceField
-from md_service.graphene import CrackCut, sheet
+from md_service.field_blocks import FieldBlocks
+from md_service.field_means import FIELD_NAMES
+from md_service.force_fields import ForceField, custom_force_field
+from md_service.grid_fields import GRID_FIELDS, NEEDED, grid_fields
+from md_service.j_meter import AtomFields, JMeter
 from md_service.parallel import ParallelEngine, follow
 from md_service.ranks import MpiRanks
+from md_service.sample_source import FLAT, build_sample, sample_from_bytes, shipped_samples
 from protocol import atomistic as messages
 from protocol.errors import ProtocolError
-from protocol.messages import CheckpointReply, Empty, FieldsReply, FieldsRequest, Restored, RestoreRequest
+from protocol.messages import CheckpointReply, Empty, FieldsReply, FieldsRequest, Point2, Restored, RestoreRequest
 from protocol.service import Capabilities, Service
 from protocol.version import package_version
 
-MATERIALS = ["graphene"]
-FIELDS = ["position", "velocity", "stress"]
 #: Beyond it a seed is no longer exact as a double, in which states travel.
-LARGEST_SEED = 2**53
-#: Names of engine arguments as the messages have them.
-FIELD_NAMES = {
-    "position": "anchor_position",
-    "ivc": "anchor_ivc",
-    "window": "steps",
-    "windows": "windows",
-    "damping": "damping_time",
-}
+LARGEST_SEED: Final = 2**53
+#: Names of arguments as the messages have them, where they differ, by operation.
+FIELD_OF: Final[dict[str, dict[str, str]]] = {
+    "configure": {
+        "material": "sample.material", "width": "sample.width", "height": "sample.height", "spacing":
+        "sample.lattice_constant", "layers": "sample.layers", "orientation": "sample.orientation",
+        "crack": "sample.crack", "crack.tip_x": "sample.crack.tip_x", "crack.y": "sample.crack.y",
+    },
+    "register": {"position": "anchor_position", "ivc": "anchor_ivc", "kind": "anchor_kind"},
+    "equilibrate": {"window": "window_steps", "damping_time": "ensemble.damping_time"},
+    "advance": {"window": "steps"},
+    "j_integral": {"half_size": "half_sizes", "contour": "half_sizes", "domain": "half_sizes", "tip_x": "tip"},
+}  # fmt: skip
+_COMPONENTS: Final = ("xx", "yy", "zz", "xy", "xz", "yz")
+_COUNTERS: Final = "engine_counters"  # array of a state whose first entry is the step
+#: Columns of what is kept in blocks for J, and their names.
+_J_FIELDS: Final = ("mean_position", "virial", "energy")
+_COLUMNS: Final = 10
+_BLOCKS: Final = "j_"  # before the names of the service's own arrays in a state
+_COLLECTED: Final = "engine_collected_samples"  # number of samples, and whether fields are collected
+
+#: Blocks from which a standard error of J can be told.
+FEWEST_BLOCKS: Final = 4
+
+AnyEngine = Engine | ParallelEngine
 
 
-class LammpsService(Service):
-    """One LAMMPS engine at a time.
+class AtomisticService(Service):
+    """One engine at a time.
 
     Parameters
     ----------
     folder : Path
-        For the LAMMPS log and derived potential files.
+        For files of the engine.
+    factory : EngineFactory
+        The code behind the role.
     ranks : MpiRanks, optional
-        All ranks, where there is more than one; this process is rank 0.
+        All ranks, where there is more than one; this process is rank 0. Of LAMMPS only.
     """
 
     role = "atomistic"
-    backend = "md_service"
     backend_version = package_version()
 
-    def __init__(self, folder: Path, ranks: MpiRanks | None = None) -> None:
+    def __init__(self, folder: Path, factory: EngineFactory = LAMMPS, ranks: MpiRanks | None = None) -> None:
         super().__init__()
+        self.backend = factory.backend  # type: ignore[misc]  # one class for all engines
         self._folder = folder
+        self._factory = factory
         self._ranks = ranks
-        self._engine: LammpsEngine | ParallelEngine | None = None
-        self._has_crack = False
-        self._ivcs = 0
+        self._engine: AnyEngine | None = None
+        self._dimension = 3
+        self._temperature = 0.0
+        self._damped = False
+        self._collecting = False
+        self._samples = 0
+        self._bonds: Bonds | None = None
+        self._blocks = FieldBlocks((0, _COLUMNS))
+        self._meter: tuple[tuple[float, ...], JMeter] | None = None
 
     def capabilities(self) -> Capabilities:
-        """Return force fields, materials, fields and ranks."""
+        """Return what this engine can do."""
+        names = self._factory.force_fields()
+        # Flat ones first: the first of the list stands for a small sample that is quick to try.
+        materials = [
+            material
+            for name in names
+            for material in sorted(self._factory.materials(name), key=lambda material: material not in FLAT)
+        ]
         return {
-            "force_fields": sorted(FORCE_FIELDS),
-            "materials": MATERIALS,
-            "fields": FIELDS,
-            "dimension": 3,
+            "force_fields": names,
+            "materials": list(dict.fromkeys(materials)),
+            "fields": list(FIELD_NAMES),
+            "grid_fields": list(GRID_FIELDS),
+            "samples": list(shipped_samples()),
+            "operations": ["collect_fields", "grid_fields", "j_integral"],
+            "ensembles": list(self._factory.ensembles),
+            # Words of LAMMPS are for LAMMPS only.
+            "commands": isinstance(self._factory, LammpsFactory),
             "ranks": 1 if self._ranks is None else self._ranks.size,
         }
 
@@ -75,103 +119,187 @@ class LammpsService(Service):
         """MD steps since configure."""
         return 0 if self._engine is None else self._engine.step
 
+    # Before the run -------------------------------------------------------------------------------------------
+
     def properties(self, request: messages.PropertiesRequest) -> messages.Properties:
-        """Measure lattice constant, E, nu and density of the potential at a temperature."""
-        force_field = _force_field(request.force_field)
-        _check_material("material", request.material)
-        try:
-            measured = measure_graphene(
-                force_field, request.temperature, seed=request.seed, work_dir=self._folder,
-                progress=self.activity.progress,
-            )  # fmt: skip
-        except EngineError as error:
-            raise _failed(error, 0) from error
-        return messages.Properties(
-            lattice_constant=measured.lattice_constant,
-            lattice_constant_error=measured.lattice_constant_error,
-            young=measured.young,
-            young_error=measured.young_error,
-            poisson=measured.poisson,
-            poisson_error=measured.poisson_error,
-            density=measured.density,
-            thickness=measured.thickness,
-        )
+        """Measure lattice constant, E, nu and density of a material at a temperature."""
+        self._check_force_field(request.force_field)
+        if request.material not in self._factory.materials(request.force_field):
+            raise self._no_material("material", request.force_field, request.material)
+        measured = self._call(
+            "properties", self._factory.properties, self._folder, request.force_field, request.material,
+            request.temperature, request.seed, self.activity.progress,
+        )  # fmt: skip
+        values = {name: getattr(measured, name) for name in messages.Properties.model_fields}
+        if not np.isfinite(values["thickness"]):
+            # Of a crystal that repeats along z: the edge of its cube, one layer of a sample.
+            values["thickness"] = 2.0**0.5 * measured.lattice_constant
+        return messages.Properties(**values)
 
     def configure(self, request: messages.AtomisticConfigure) -> messages.AtomisticConfigured:
-        """Build the sample and hand it to LAMMPS; a request that is refused leaves the old sample as it is."""
+        """Build the sample and the engine; a request that is refused leaves the old ones as they are."""
         if request.seed > LARGEST_SEED:
             raise ProtocolError("bad_field", f"seed {request.seed} is above {LARGEST_SEED}", field="seed")
-        force_field = _force_field(request.force_field)
-        sample = request.sample
-        _check_material("sample.material", sample.material)
-        lattice_constant = sample.lattice_constant or force_field.lattice_constant
-        crack = CrackCut(sample.crack.tip_x, sample.crack.y) if sample.crack else None
-        try:
-            built = sheet(sample.width, sample.height, lattice_constant, crack)
-        except ValueError as error:
-            raise ProtocolError("bad_field", f"sample: {error}", field="sample") from None
-        self.close()
-        settings: dict[str, Any] = {
-            "temperature": request.temperature,
-            "seed": request.seed,
-            "time_step": request.time_step,
-            "lattice_constant": lattice_constant,
-        }
-        try:
-            if self._ranks is None:
-                self._engine = LammpsEngine(self._folder, force_field, built.position, crack=built.crack, **settings)
-            else:
-                self._engine = ParallelEngine(
-                    self._ranks, self._folder, force_field.name, built.position, crack=built.crack, **settings
-                )
-        except (EngineError, ValueError) as error:
-            raise _failed(error, 0) from error
-        self._has_crack = crack is not None
-        atoms = len(built.position)
+        profile = self._profile(request)
+        atoms = self._sample(request)
+        if profile is not None and profile.elements and not set(atoms.elements) <= set(profile.elements):
+            missing = ", ".join(sorted(set(atoms.elements) - set(profile.elements)))
+            sentence = f"force field {profile.name} knows {', '.join(profile.elements)}; the sample has {missing}"
+            raise ProtocolError("bad_field", sentence, field="force_field")
+        engine = self._call("configure", self._make, request, profile, atoms)
+        if engine is not self._engine:
+            self.close()
+        self._engine = engine
+        self._bonds = Bonds(atoms, profile)
+        self._temperature, self._collecting, self._damped = request.temperature, False, False
+        self._begin_average()
+        trap = profile.cutoff_trap if profile is not None and atoms.crack is not None else ""
         return messages.AtomisticConfigured(
-            atom_id=np.arange(atoms, dtype=np.int64),
-            position=built.position,
-            atom_mass=np.full(atoms, CARBON_MASS),
-            warnings=[force_field.cutoff_trap] if self._has_crack and force_field.cutoff_trap else [],
+            atom_id=np.arange(len(atoms), dtype=np.int64),
+            position=atoms.position,
+            atom_mass=np.ascontiguousarray(atoms.atom_mass),
+            warnings=[trap] if trap else [],
         )
+
+    def _profile(self, request: messages.AtomisticConfigure) -> ForceField | None:
+        """Profile of the force field: the named one, or one made of the user's commands."""
+        given = request.commands
+        if given is None:
+            self._check_force_field(request.force_field)
+            return self._factory.force_field(request.force_field)
+        if not isinstance(self._factory, LammpsFactory):
+            sentence = f"commands are of LAMMPS; the backend {self.backend} has its force fields by name"
+            raise ProtocolError("unsupported", sentence, field="commands")
+        try:
+            return custom_force_field(
+                request.force_field, given.unit_style, given.atom_style, given.commands, request.time_step
+            )
+        except ValueError as error:
+            raise ProtocolError("bad_field", str(error), field="commands") from None
+
+    def _sample(self, request: messages.AtomisticConfigure) -> Atoms:
+        sample, file = request.sample, request.sample_file
+        cut = sample.crack if sample is not None else file.crack if file is not None else None
+        crack = None if cut is None else CrackCut(cut.tip_x, cut.y)
+        if sample is None:
+            assert file is not None  # held by the message
+            return self._sample_of(file, request.sample_data, crack)
+        name = request.force_field
+        spacing = sample.lattice_constant
+        if request.commands is None and sample.material not in self._factory.materials(name):
+            raise self._no_material("sample.material", name, sample.material)
+        if spacing is None:
+            if request.commands is not None:
+                sentence = "sample.lattice_constant is missing; nothing is known of a force field of your own"
+                raise ProtocolError("bad_field", sentence, field="sample.lattice_constant")
+            spacing = self._factory.spacing(name, sample.material)
+        return self._call(
+            "configure", build_sample, sample.material, sample.width, sample.height, spacing=spacing,
+            layers=sample.layers, orientation=sample.orientation, crack=crack,
+        )  # fmt: skip
+
+    def _sample_of(self, file: messages.SampleFile, data: NDArray[np.uint8] | None, crack: CrackCut | None) -> Atoms:
+        if data is None:
+            held = shipped_samples()
+            if file.name not in held:
+                sentence = f"sample_file.name: no sample {file.name!r}; there are {', '.join(held) or 'none'}"
+                raise ProtocolError("bad_field", sentence, field="sample_file.name")
+            content, field = held[file.name].read_bytes(), "sample_file.name"
+        else:
+            content, field = data.tobytes(), "sample_data"
+        try:
+            return sample_from_bytes(content, file.periodic_z, crack)
+        except ValueError as error:
+            raise ProtocolError("bad_field", f"{field}: {error}", field=field) from None
+
+    def _make(self, request: messages.AtomisticConfigure, profile: ForceField | None, atoms: Atoms) -> AnyEngine:
+        settings: dict[str, Any] = {
+            "temperature": request.temperature, "seed": request.seed, "time_step": request.time_step,
+        }  # fmt: skip
+        if self._ranks is not None:
+            assert profile is not None  # LAMMPS has one for each force field
+            # The ranks hold one engine.
+            self.close()
+            self._dimension = 3
+            return ParallelEngine(self._ranks, self._folder, profile, atoms, **settings)
+        own: Any = request.force_field if request.commands is None else profile
+        dynamics = self._factory.make(self._folder, own, atoms, **settings)
+        self._dimension = dynamics.dimension
+        return Engine(dynamics, temperature=request.temperature, force_field=profile)
 
     def register(self, request: messages.AtomisticRegister) -> messages.AtomisticRegistered:
         """Tie atoms to anchors."""
         engine = self._configured()
-        damping = CARBON_MASS / request.damping_time if request.damping_time is not None else 0.0
         self._call(
-            engine.register_anchors, request.atom_id, request.anchor_position, request.stiffness, request.anchor_ivc,
-            np.full(len(request.atom_id), damping),
+            "register", engine.register_anchors, request.atom_id, request.anchor_position, request.stiffness,
+            request.anchor_ivc, request.damping_time, request.anchor_kind, request.motion == "linear",
         )  # fmt: skip
-        self._ivcs = int(request.anchor_ivc.max()) + 1 if len(request.anchor_ivc) else 0
-        return messages.AtomisticRegistered(ivcs=self._ivcs)
+        self._damped = request.damping_time is not None
+        return messages.AtomisticRegistered(ivcs=int(request.anchor_ivc.max()) + 1 if len(request.anchor_ivc) else 0)
 
     def equilibrate(self, request: messages.EquilibrateRequest) -> messages.Equilibrated:
         """Bring the sample to temperature, then measure the reference force."""
         engine = self._configured()
+        ensemble = self._ensemble(request)
         total = request.steps + request.windows * request.window_steps
 
         def heating(done: int, steps: int) -> None:
             self.activity.progress(done, total, "equilibration")
 
-        def averaging(done: int, windows: int) -> None:
-            self.activity.progress(request.steps + done * request.window_steps, total, "reference force")
+        def averaging(done: int, rounds: int) -> None:
+            part = request.windows * request.window_steps * done // rounds
+            self.activity.progress(request.steps + part, total, "reference force")
 
+        how = None
         if request.steps:
-            self._call(engine.equilibrate, request.steps, progress=heating)
-        reference = self._call(engine.measure_reference, request.windows, request.window_steps, progress=averaging)
+            how = self._call(
+                "equilibrate", engine.equilibrate, request.steps, progress=heating, ensemble=ensemble,
+                keep_ensemble=request.keep_ensemble, settle=request.settle,
+            )  # fmt: skip
+        reference = self._call(
+            "equilibrate", engine.measure_reference, request.windows, request.window_steps, progress=averaging
+        )
+        self._begin_average()
         return messages.Equilibrated(
             reference_ivc_force=reference.ivc_force,
             reference_ivc_error=reference.ivc_standard_error,
             window_ivc_deviation=reference.window_standard_deviation,
             temperature=reference.temperature,
+            steps_done=None if how is None else how.steps,
+            settled=None if how is None else how.settled,
+            drifts=[] if how is None or how.settled is None else _drifts(how),
         )
 
+    def _ensemble(self, request: messages.EquilibrateRequest) -> Ensemble | None:
+        given = request.ensemble
+        if given is None:
+            return None
+        if given.thermostat not in self._factory.ensembles:
+            known = ", ".join(self._factory.ensembles) or "none"
+            sentence = f"thermostat {given.thermostat} is not among those of {self.backend}: {known}"
+            raise ProtocolError("unsupported", sentence, field="ensemble.thermostat")
+        if request.keep_ensemble and self._damped:
+            sentence = "keep_ensemble is set beside damping_time of register; one thermostat at a time"
+            raise ProtocolError("bad_field", sentence, field="keep_ensemble")
+        if given.pressure is not None and not any(self._configured().atoms.box.periodic):
+            sentence = "pressure is given, but the box of this sample repeats nowhere: nothing can follow it"
+            raise ProtocolError("unsupported", sentence, field="ensemble.pressure")
+        return Ensemble(given.thermostat, self._temperature, given.damping_time, given.pressure, given.pressure_time)
+
+    # The run --------------------------------------------------------------------------------------------------
+
     def advance(self, request: messages.AtomisticAdvance) -> messages.AtomisticAdvanced:
-        """One coupling step: anchors held, M steps, averaged reaction."""
+        """One coupling step: M steps under the anchors, averaged reaction."""
         engine = self._configured()
-        now = self._call(engine.advance, request.steps, request.anchor_position, request.anchor_velocity)
-        bonds = self._call(engine.broken_bonds)
+        now = self._call(
+            "advance", engine.advance, request.steps, request.anchor_position, request.anchor_velocity,
+            request.until_error, request.most_windows if request.until_error is not None else 1,
+        )  # fmt: skip
+        if self._collecting:
+            means = self._call("advance", engine.fields, list(_J_FIELDS))
+            sums = np.column_stack([means[name] for name in _J_FIELDS]) * (self._blocks.samples + now.windows)
+            self._blocks.add(sums - self._blocks.total, now.windows)
+        bonds = self._call("advance", engine.broken_bonds)
         return messages.AtomisticAdvanced(
             step=now.step,
             anchor_force=now.anchor_force,
@@ -183,86 +311,223 @@ class LammpsService(Service):
             kinetic_energy=now.kinetic_energy,
             spring_energy=now.spring_energy,
             anchor_work=now.anchor_work,
+            thermostat_work=now.thermostat_work,
+            windows=now.windows,
+            correlation_time=now.correlation_time if np.isfinite(now.correlation_time) else None,
             broken_bonds=bonds.broken,
-            crack_tip=bonds.tip_x if self._has_crack else None,
-            longest_bond=bonds.longest_length,
+            crack_tip=bonds.tip_x if engine.atoms.crack is not None else None,
+            longest_bond=bonds.longest_length if np.isfinite(bonds.longest_length) else 0.0,
+            longest_bond_atoms=(bonds.longest_atoms[0], bonds.longest_atoms[1]) if bonds.longest_atoms else None,
             warnings=[bonds.warning] if bonds.warning else [],
         )
+
+    # What can be looked at ------------------------------------------------------------------------------------
+
+    def collect_fields(self, request: messages.CollectRequest) -> messages.Collecting:
+        """Start or stop to collect fields at the ends of windows."""
+        engine = self._configured()
+        self._call("collect_fields", engine.collect_fields, request.active)
+        self._collecting = request.active
+        self._begin_average()
+        return messages.Collecting(step=engine.step)
 
     def fields(self, request: FieldsRequest) -> FieldsReply:
         """Return fields by name, rows in the order of `configure`."""
         engine = self._configured()
-        for index, name in enumerate(request.names):
-            if name not in FIELDS:
-                raise ProtocolError(
-                    "bad_field",
-                    f"names.{index}: no field {name!r}; there are {', '.join(FIELDS)}",
-                    field=f"names.{index}",
-                )
-        return FieldsReply(step=engine.step, fields=self._call(engine.fields, request.names))
+        _check_names(request.names, FIELD_NAMES)
+        return FieldsReply(step=engine.step, fields=self._call("fields", engine.fields, request.names))
+
+    def grid_fields(self, request: messages.GridFieldsRequest) -> messages.GridFields:
+        """Return averages around the points of a grid."""
+        engine = self._configured()
+        _check_names(request.names, GRID_FIELDS)
+        means = self._call("grid_fields", engine.fields, list(NEEDED))
+        found = self._call(
+            "grid_fields", grid_fields, engine.atoms, means, np.array(request.origin), request.spacing, request.counts,
+            request.radius, self._dimension,
+        )  # fmt: skip
+        fields = {name: found[name] for name in request.names}
+        return messages.GridFields(step=engine.step, samples=self._blocks.samples, fields=fields)
+
+    def j_integral(self, request: messages.JIntegralRequest) -> messages.JIntegral:
+        """Return J of the means collected since the last answer, and begin a new average."""
+        engine = self._configured()
+        try:
+            rest = engine.reference_fields()
+        except EngineError as error:
+            raise ProtocolError("wrong_state", f"{error}", hint="collect_fields comes before equilibrate") from None
+        if not self._blocks.samples:
+            raise ProtocolError("wrong_state", "no window was collected since the last answer: advance comes before")
+        tip, half_sizes = self._tip(request.tip), tuple(request.half_sizes)
+        meter = self._call("j_integral", self._meter_at, tip, half_sizes, rest)
+        found = meter.measure(_atom_fields(self._blocks.total / self._blocks.samples))
+        contour_error = domain_error = np.zeros(len(half_sizes))
+        blocks = [_atom_fields(block) for block in self._blocks.means()]
+        if len(blocks) >= FEWEST_BLOCKS:
+            scatter = meter.measure_blocks(blocks)
+            assert scatter.contour_error is not None and scatter.domain_error is not None
+            contour_error, domain_error = scatter.contour_error, scatter.domain_error
+        reply = messages.JIntegral(
+            step=engine.step, samples=self._blocks.samples, tip=tip, contour=found.contour,
+            standard_error=contour_error,
+            domain=found.domain, domain_error=domain_error,
+        )  # fmt: skip
+        if self._collecting:
+            self._call("j_integral", engine.collect_fields, True)
+        self._begin_average(keep_meter=True)
+        return reply
+
+    def _tip(self, given: Point2 | None) -> Point2:
+        if given is not None:
+            return given
+        engine = self._configured()
+        crack = engine.atoms.crack
+        if crack is None:
+            raise ProtocolError("bad_field", "tip is missing; this sample has no crack to follow", field="tip")
+        return (float(self._call("j_integral", engine.broken_bonds).tip_x), crack.y)
+
+    def _meter_at(self, tip: Point2, half_sizes: tuple[float, ...], rest: dict[str, NDArray[np.float64]]) -> JMeter:
+        """The meter at a tip; its matrices are kept until tip, contours or broken bonds change."""
+        engine, bonds = self._configured(), self._bonds
+        assert bonds is not None
+        broken = bonds.pairs[bonds.lengths(engine.fields(["position"])["position"]) > bonds.limit]
+        without = np.unique(broken)
+        key = (*tip, *half_sizes, *without)
+        if self._meter is None or self._meter[0] != key:
+            atoms = engine.atoms
+            meter = JMeter(
+                atoms, tip, half_sizes, temperature=self._temperature, without=without if len(without) else None
+            )
+            meter.set_reference(AtomFields(rest["mean_position"], rest["energy"], rest["virial"]))
+            self._meter = (key, meter)
+        return self._meter[1]
+
+    def _begin_average(self, keep_meter: bool = False) -> None:
+        atoms = 0 if self._engine is None else len(self._engine.atoms)
+        self._blocks = FieldBlocks((atoms, _COLUMNS))
+        if not keep_meter:
+            self._meter = None
+
+    # State ----------------------------------------------------------------------------------------------------
 
     def checkpoint(self, request: Empty) -> CheckpointReply:
         """Return the state; the engine goes on from it as a restored one would."""
         engine = self._configured()
-        state = self._call(engine.state)
+        state = self._call("checkpoint", engine.state)
+        if self._blocks.samples:
+            state.update({_BLOCKS + name: value for name, value in self._blocks.state().items()})
         return CheckpointReply(step=engine.step, state=state)
 
     def restore(self, request: RestoreRequest) -> Restored:
         """Set the state."""
         engine = self._configured()
-        counters = request.state.get("counters")
+        counters = request.state.get(_COUNTERS)
         if counters is None or counters.size == 0 or int(counters.flat[0]) != request.step:
             raise ProtocolError("bad_field", f"step {request.step} is not the step of the state", field="step")
-        self._call(engine.restore, request.state)
+        own = {name.removeprefix(_BLOCKS): value for name, value in request.state.items() if name.startswith(_BLOCKS)}
+        rest = {name: value for name, value in request.state.items() if not name.startswith(_BLOCKS)}
+        shape = (len(engine.atoms), _COLUMNS)
+        try:
+            blocks = FieldBlocks.restored(own, shape) if own else FieldBlocks(shape)
+            self._call("restore", engine.restore, rest)
+        except KeyError as error:
+            raise ProtocolError("bad_field", f"state lacks {error}", field="state") from None
+        except ValueError as error:
+            raise ProtocolError("bad_field", str(error), field="state") from None
+        self._collecting = bool(request.state[_COLLECTED][1])
+        self._blocks, self._meter = blocks, None
         return Restored(step=engine.step)
 
     def close(self) -> None:
-        """Let go of LAMMPS."""
+        """Let go of the engine."""
         if self._engine is not None:
             self._engine.close()
             self._engine = None
 
-    def _configured(self) -> LammpsEngine | ParallelEngine:
+    # Inside ---------------------------------------------------------------------------------------------------
+
+    def _configured(self) -> AnyEngine:
         if self._engine is None:
             raise ProtocolError("wrong_state", "there is no sample: the last configure failed")
         return self._engine
 
-    def _call(self, method: Any, *arguments: Any, **named: Any) -> Any:
+    def _check_force_field(self, name: str) -> None:
+        known = self._factory.force_fields()
+        if name not in known:
+            sentence = f"no force field {name!r}; there are {', '.join(known)}"
+            raise ProtocolError("bad_field", sentence, field="force_field")
+
+    def _no_material(self, field: str, force_field: str, material: str) -> ProtocolError:
+        known = ", ".join(self._factory.materials(force_field)) or "none, give a sample_file"
+        sentence = f"no material {material!r} for the force field {force_field}; there are {known}"
+        return ProtocolError("bad_field", sentence, field=field)
+
+    def _call(self, operation: str, method: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
         """Call the engine; its errors become errors of the wire."""
         try:
             return method(*arguments, **named)
         except EngineError as error:
-            raise _failed(error, self.step) from error
+            raise ProtocolError("solver_failed", str(error), step=self.step) from error
         except ValueError as error:
             name = re.split(r"[ \[:=]", str(error), maxsplit=1)[0]
-            raise ProtocolError("bad_field", str(error), field=FIELD_NAMES.get(name, name)) from None
+            # What a material cannot have is no mistake of the number itself.
+            code = "unsupported" if name in ("layers", "orientation") or "crack is given" in str(error) else "bad_field"
+            field = FIELD_OF.get(operation, {}).get(name, name)
+            raise ProtocolError(code, str(error), field=field) from None
 
 
-def make_service(folder: Path) -> LammpsService:
-    """Return the service; under mpiexec, ranks other than 0 follow rank 0 and never return."""
+def make_service(folder: Path) -> AtomisticService:
+    """Return the service on LAMMPS; under mpiexec, ranks other than 0 follow rank 0 and never return."""
     if int(os.environ.get("PMI_SIZE", "1")) == 1:
-        return LammpsService(folder)
+        return AtomisticService(folder)
     ranks = MpiRanks()
     if ranks.rank > 0:
         follow(ranks)
         sys.exit(0)
-    return LammpsService(folder, ranks)
+    return AtomisticService(folder, LAMMPS, ranks)
 
 
-def _force_field(name: str) -> ForceField:
-    if name not in FORCE_FIELDS:
-        raise ProtocolError(
-            "bad_field",
-            f"no force field {name!r}; there are {', '.join(sorted(FORCE_FIELDS))}",
-            field="force_field",
-        )
-    return FORCE_FIELDS[name]
+def make_lattice(folder: Path) -> AtomisticService:
+    """Return the service on the harmonic lattice."""
+    from md_service.lattice_dynamics import LATTICE
+
+    return AtomisticService(folder, LATTICE)
 
 
-def _check_material(field: str, name: str) -> None:
-    if name not in MATERIALS:
-        raise ProtocolError("bad_field", f"no material {name!r}; there are {', '.join(MATERIALS)}", field=field)
+def make_ase(folder: Path) -> AtomisticService:
+    """Return the service on ASE calculators."""
+    from md_service.ase_dynamics import ASE
+
+    return AtomisticService(folder, ASE)
 
 
-def _failed(error: Exception, step: int) -> ProtocolError:
-    return ProtocolError("solver_failed", str(error), step=step)
+def make_openmm(folder: Path) -> AtomisticService:
+    """Return the service on OpenMM."""
+    from md_service.openmm_dynamics import OPENMM
+
+    return AtomisticService(folder, OPENMM)
+
+
+def _check_names(names: list[str], known: tuple[str, ...]) -> None:
+    for index, name in enumerate(names):
+        if name not in known:
+            sentence = f"names.{index}: no field {name!r}; there are {', '.join(known)}"
+            raise ProtocolError("bad_field", sentence, field=f"names.{index}")
+
+
+def _drifts(how: Any) -> list[messages.Drift]:
+    values = [("energy", how.energy_drift, how.energy_error)]
+    values += [
+        (f"stress_{name}", how.stress_drift[k], how.stress_error[k]) for k, name in enumerate(_COMPONENTS)
+    ]  # fmt: skip
+    # Too few looks tell no drift.
+    return [
+        messages.Drift(quantity=name, drift=float(drift), standard_error=float(error))
+        for name, drift, error in values
+        if np.isfinite(drift) and np.isfinite(error)
+    ]
+
+
+def _atom_fields(columns: NDArray[np.float64]) -> AtomFields:
+    """Fields for J from the columns of `_J_FIELDS`."""
+    return AtomFields(columns[:, :3].copy(), columns[:, 9].copy(), columns[:, 3:9].copy())

@@ -11,6 +11,7 @@ BACKEND = Backend(
     factory="mpm_service.service:make_service",
     # Measured on one core of a common server: uGIMP, MUSL, FMPM(2).
     seconds_per_unit_step={"": 2.2e-7},
+    default=True,
 )
 REFERENCE = Backend(
     name="reference",

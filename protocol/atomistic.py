@@ -2,23 +2,67 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from protocol.arrays import ArraySpec, FloatArray, IntArray
+from protocol.arrays import ArrayMap, ArrayMapSpec, ArraySpec, FloatArray, IntArray
+from protocol.atomistic_parts import (
+    PASSIVE,
+    SPRING,
+    SURFACE,
+    CrackCut,
+    Drift,
+    Ensemble,
+    ForceFieldCommands,
+    Sample,
+    SampleFile,
+)
 from protocol.messages import (
     Count,
     Finite,
     Message,
     Natural,
     NonNegative,
-    Part,
+    Point2,
+    Point3,
     Positive,
     check_indices,
+    since,
     wrong,
 )
+
+__all__ = [
+    "PASSIVE",
+    "SPRING",
+    "SURFACE",
+    "AtomisticAdvance",
+    "AtomisticAdvanced",
+    "AtomisticConfigure",
+    "AtomisticConfigured",
+    "AtomisticRegister",
+    "AtomisticRegistered",
+    "CollectRequest",
+    "Collecting",
+    "CrackCut",
+    "Drift",
+    "Ensemble",
+    "EquilibrateRequest",
+    "Equilibrated",
+    "ForceFieldCommands",
+    "GridFields",
+    "GridFieldsRequest",
+    "JIntegral",
+    "JIntegralRequest",
+    "Properties",
+    "PropertiesRequest",
+    "Sample",
+    "SampleFile",
+]
+
+ByteArray = NDArray[np.uint8]
 
 
 class PropertiesRequest(Message):
@@ -40,34 +84,39 @@ class Properties(Message):
     poisson: float = Field(description="[1] Poisson's ratio")
     poisson_error: float = Field(description="[1] standard error")
     density: float = Field(description="[kg/m3] mass per volume")
-    thickness: float = Field(description="[m] thickness to which Pa and kg/m3 refer")
-
-
-class CrackCut(Part):
-    """A crack from the left edge of the sample to `tip_x` at height `y`, made by removing atoms."""
-
-    tip_x: Finite = Field(description="[m] x of the tip")
-    y: Finite = Field(description="[m] height of the crack line")
-
-
-class Sample(Part):
-    """A flat sample centred on the origin; the service makes it from the nearest whole cells."""
-
-    material: str = Field(description="a name of `capabilities.materials`")
-    width: Positive = Field(description="[m] extent along x")
-    height: Positive = Field(description="[m] extent along y")
-    lattice_constant: Positive | None = Field(default=None, description="[m] absent: that of the force field at 0 K")
-    crack: CrackCut | None = Field(default=None, description="absent: no crack")
+    thickness: float = Field(description="[m] thickness of one layer, to which Pa and kg/m3 refer")
 
 
 class AtomisticConfigure(Message):
     """The whole atomistic problem."""
 
-    force_field: str = Field(description="a name of `capabilities.force_fields`")
-    sample: Sample = Field(description="what to build")
+    force_field: str = Field(description="a name of `capabilities.force_fields`; with `commands` any name")
+    sample: Sample | None = Field(default=None, description="what to build; absent only with `sample_file`")
     temperature: NonNegative = Field(description="[K] of the run")
     time_step: Positive = Field(description="[s] step of the integration")
     seed: Natural = Field(description="of all random numbers of the run")
+    sample_file: SampleFile | None = Field(
+        default=None, description="the sample is the one in `sample_data`", json_schema_extra=since(1, 2)
+    )
+    sample_data: Annotated[ByteArray, ArraySpec("|u1", ("bytes",))] | None = Field(
+        default=None,
+        description="a LAMMPS data file, plain or packed by gzip, of a `sample_file` without name",
+        json_schema_extra=since(1, 2),
+    )
+    commands: ForceFieldCommands | None = Field(
+        default=None, description="the force field, where it is none of the service's", json_schema_extra=since(1, 2)
+    )
+
+    @model_validator(mode="after")
+    def _one_sample(self) -> Self:
+        if (self.sample is None) == (self.sample_file is None):
+            problem = "is missing" if self.sample is None else "is given beside sample_file"
+            raise wrong("sample", f"{problem}; give sample, or sample_file with sample_data")
+        held = self.sample_file is not None and self.sample_file.name is not None
+        if (self.sample_data is not None) != (self.sample_file is not None and not held):
+            problem = "is missing" if self.sample_data is None else "is given beside sample, or a name of sample_file"
+            raise wrong("sample_data", f"{problem}; it is the file of a sample_file without name")
+        return self
 
 
 class AtomisticConfigured(Message):
@@ -99,10 +148,20 @@ class AtomisticRegister(Message):
         description="of each spring, not negative"
     )
     damping_time: Positive | None = Field(default=None, description="[s] absent: no damper, no thermostat")
+    anchor_kind: Annotated[IntArray, ArraySpec("<i8", ("anchors",))] | None = Field(
+        default=None, description="0 spring, 1 passive, 2 surface; absent: all springs", json_schema_extra=since(1, 2)
+    )
+    motion: Literal["held", "linear"] = Field(
+        default="held",
+        description="of the anchors during `advance`: they stand still, or go on with their velocity",
+        json_schema_extra=since(1, 2),
+    )
 
     @model_validator(mode="after")
     def _indices_and_stiffness(self) -> Self:
         check_indices("anchor_ivc", self.anchor_ivc, None)
+        if self.anchor_kind is not None:
+            check_indices("anchor_kind", self.anchor_kind, SURFACE + 1)
         if (self.stiffness < 0).any():
             raise wrong("stiffness", f"holds {self.stiffness.min():g}; a stiffness is not negative")
         if len(np.unique(self.atom_id)) != len(self.atom_id):
@@ -124,6 +183,27 @@ class EquilibrateRequest(Message):
         description="windows of the reference average; a service takes 8 or more, and may refuse fewer"
     )
     window_steps: Count = Field(description="M: steps of a window, as in `advance`")
+    ensemble: Ensemble | None = Field(
+        default=None,
+        description="bath of all atoms during `steps`; absent: the service's own choice",
+        json_schema_extra=since(1, 2),
+    )
+    keep_ensemble: bool = Field(
+        default=False,
+        description="the bath stays on, also during `advance`; needs `ensemble`",
+        json_schema_extra=since(1, 2),
+    )
+    settle: bool = Field(
+        default=False,
+        description="`steps` is the most: the equilibration ends once energy and stress drift less than their error",
+        json_schema_extra=since(1, 2),
+    )
+
+    @model_validator(mode="after")
+    def _something_to_keep(self) -> Self:
+        if self.keep_ensemble and self.ensemble is None:
+            raise wrong("keep_ensemble", "is set, but there is no ensemble to keep")
+        return self
 
 
 class Equilibrated(Message):
@@ -139,17 +219,38 @@ class Equilibrated(Message):
         description="standard deviation of one window's mean"
     )
     temperature: float = Field(description="[K] mean over the reference windows, all atoms")
+    steps_done: Natural | None = Field(
+        default=None, description="steps before the measurement; absent: as asked", json_schema_extra=since(1, 2)
+    )
+    settled: bool | None = Field(
+        default=None,
+        description="whether all drifts are within their errors; absent without `settle`",
+        json_schema_extra=since(1, 2),
+    )
+    drifts: list[Drift] = Field(
+        default_factory=list,
+        description="drifts over the last part, with `settle`",
+        json_schema_extra=since(1, 2),
+    )
 
 
 class AtomisticAdvance(Message):
-    """Set the anchors, hold them, integrate `steps` (M) steps."""
+    """Set the anchors, hold them (or let them move), integrate `steps` (M) steps."""
 
     steps: Count = Field(description="M, the window of the average")
     anchor_position: Annotated[FloatArray, ArraySpec("<f8", ("anchors", 3), "m")] = Field(
         description="where the anchors are held, rows as in `register`"
     )
     anchor_velocity: Annotated[FloatArray, ArraySpec("<f8", ("anchors", 3), "m/s")] = Field(
-        description="velocity that the damper works against; it does not move the anchors"
+        description="velocity that the damper works against; it moves the anchors only where `motion` is linear"
+    )
+    until_error: Positive | None = Field(
+        default=None,
+        description="[N] further windows are run until no `ivc_standard_error` is above it; absent: one window",
+        json_schema_extra=since(1, 2),
+    )
+    most_windows: Count = Field(
+        default=1, description="windows at most, with `until_error`", json_schema_extra=since(1, 2)
     )
 
 
@@ -174,9 +275,82 @@ class AtomisticAdvanced(Message):
     anchor_work: float = Field(
         description="[J] work that springs, dampers and thermostat did on the atoms since configure"
     )
+    thermostat_work: float | None = Field(
+        default=None,
+        description="[J] the part of `anchor_work` that is none of the springs'; absent: not known",
+        json_schema_extra=since(1, 2),
+    )
+    windows: Count = Field(default=1, description="windows that the averages are over", json_schema_extra=since(1, 2))
+    correlation_time: NonNegative | None = Field(
+        default=None,
+        description="[s] of the forces, the longest of all IVCs; absent: not known",
+        json_schema_extra=since(1, 2),
+    )
     broken_bonds: Natural = Field(description="bonds of the unloaded sample that are broken now")
     crack_tip: Finite | None = Field(
         default=None, description="[m] x of the tip by connectivity; absent without a crack"
     )
     longest_bond: float = Field(description="[m] length of the longest bond that holds")
+    longest_bond_atoms: Annotated[tuple[Natural, Natural], Field(strict=False)] | None = Field(
+        default=None, description="ids of its atoms; absent: not known", json_schema_extra=since(1, 2)
+    )
     warnings: list[str] = Field(description="what a user should know, one sentence each")
+
+
+class CollectRequest(Message):
+    """Start or stop to collect fields at the ends of windows; starting forgets what was collected."""
+
+    active: bool = Field(description="whether to collect")
+
+
+class Collecting(Message):
+    """The switch is set."""
+
+    step: Natural = Field(description="step counter of the solver")
+
+
+class GridFieldsRequest(Message):
+    """Ask for averages of atoms around the points of a regular grid (Hardy)."""
+
+    names: list[str] = Field(min_length=1, description="each one of `capabilities.grid_fields`")
+    origin: Point3 = Field(description="[m] the first point")
+    spacing: Positive = Field(description="[m] from point to point, along each axis")
+    counts: Annotated[tuple[Count, Count, Count], Field(strict=False)] = Field(
+        description="points along x, y, z; one along z for a flat sample"
+    )
+    radius: Positive = Field(description="[m] reach of the average around a point")
+
+
+class GridFields(Message):
+    """One array a name, with the counts of the grid as its first three axes, then components."""
+
+    step: Natural = Field(description="step counter of the solver")
+    samples: Natural = Field(description="windows that were collected for it; 0: the values are of this moment")
+    fields: Annotated[ArrayMap, ArrayMapSpec()] = Field(description="frame `fields.NAME` for each name asked for")
+
+
+class JIntegralRequest(Message):
+    """Ask for J at a crack tip from the atoms, by square contours and by domains inside them (Eqs 63-78)."""
+
+    half_sizes: list[Positive] = Field(min_length=1, description="[m] from the tip to the sides of each contour")
+    tip: Point2 | None = Field(default=None, description="[m] in the unloaded sample; absent: as the bonds show it")
+
+
+class JIntegral(Message):
+    """J of the means collected since collecting began or since the last answer."""
+
+    step: Natural = Field(description="step counter of the solver")
+    samples: Natural = Field(description="windows that were collected for it")
+    tip: Point2 = Field(description="[m] that the contours are around")
+    contour: Annotated[FloatArray, ArraySpec("<f8", ("contours",), "J/m^2")] = Field(
+        description="J of each contour, in the order asked for"
+    )
+    standard_error: Annotated[FloatArray, ArraySpec("<f8", ("contours",), "J/m^2")] = Field(
+        description="of `contour`, from the noise of the atoms; 0 where it is not known"
+    )
+    domain: Annotated[FloatArray, ArraySpec("<f8", ("contours",), "J/m^2")] = Field(
+        description="J once more, as an integral over a domain inside each contour"
+    )
+    domain_error: Annotated[FloatArray, ArraySpec("<f8", ("contours",), "J/m^2")] = Field(
+        description="of `domain`, likewise"
+    )

@@ -33,6 +33,8 @@ class Backend:
     seconds_per_unit_step : dict of str to float
         Seconds per step and atom or material point on one core, by force field (``""`` where the role has
         none); for estimates before a run.
+    default : bool
+        Whether it is taken for its role where none is named.
     """
 
     name: str
@@ -41,6 +43,7 @@ class Backend:
     factory: str
     launcher: str | None = None
     seconds_per_unit_step: dict[str, float] = field(default_factory=dict)
+    default: bool = False
 
     def make(self, folder: Path) -> Service:
         """Load the backend and return a new service that works in `folder`."""
@@ -81,7 +84,7 @@ def installed() -> dict[str, Backend]:
 
 
 def find(role: str, name: str | None) -> Backend:
-    """Return the backend `name` of a role, or the first of that role.
+    """Return the backend `name` of a role; without a name the default of that role, else the first by name.
 
     Raises
     ------
@@ -90,7 +93,7 @@ def find(role: str, name: str | None) -> Backend:
     """
     candidates = {key: backend for key, backend in installed().items() if backend.role == role}
     if name is None and candidates:
-        return next(iter(candidates.values()))
+        return min(candidates.values(), key=lambda backend: (not backend.default, backend.name))
     if name is not None and name in candidates:
         return candidates[name]
     have = ", ".join(sorted(candidates)) or "none"

@@ -122,6 +122,14 @@ class Client:
         self._max_message_bytes = self.welcome.max_message_bytes
         return self.welcome
 
+    def offers(self, operation: str) -> bool:
+        """Return whether the service has an operation: some are optional, some came with a later version."""
+        known = self._operations[operation]
+        if not known.optional:
+            return True
+        offered = self.welcome.capabilities.get("operations") if self.welcome is not None else None
+        return known.since <= self._version and isinstance(offered, list) and operation in offered
+
     def watch_with(self, watch: Callable[[], None]) -> None:
         """Set what is called about ten times a second while waiting; it may raise to end the wait."""
         self._watch = watch
@@ -171,6 +179,8 @@ class Client:
         """
         began = time.perf_counter()
         message = request if request is not None else Empty()
+        if not self.offers(operation):
+            raise ProtocolError("unsupported", f"the {self.role} service does not have {operation}", field="type")
         unknown = newer_fields(message, self._version) if self._version < NEWEST else []
         if unknown:
             raise ProtocolError(

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+from protocol.conformance_atomistic import AtomisticChecks
 from protocol.conformance_kit import Check
-from protocol.conformance_solver import SolverChecks
 from protocol.conformance_wire import WireChecks
 from protocol.malformed_messages import malformed_messages
 
@@ -47,7 +47,7 @@ def check_service(
     return kit.checks
 
 
-class Kit(WireChecks, SolverChecks):
+class Kit(WireChecks, AtomisticChecks):
     """One pass over one service; see `check_service`."""
 
     def run(self, shutdown: bool) -> None:
@@ -81,6 +81,7 @@ class Kit(WireChecks, SolverChecks):
         self._check("checkpoint: a problem set anew goes on with the same bits", lambda: self._resume(problem))
         self._check("restore: a state that does not fit is refused", self._wrong_states)
         self._kinds(problem)
+        self._atomistic(problem)
         self._wrong_fields(problem)
         self._check("control: status while the solver computes, and abort", lambda: self._status_and_abort(problem))
         self._check("state failed: only configure helps", lambda: self._failed(problem))

@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from protocol import atomistic as a
 from protocol import continuum as c
-from protocol.messages import Message, Welcome
+from protocol.messages import Message
 
 #: Steps of one `advance` of the kit.
 STEPS = 5
+#: Requests with their operations, in the order in which they are sent.
+Requests = list[tuple[str, Message]]
 
 
 @dataclass(frozen=True)
@@ -52,17 +53,17 @@ class Problem:
         Takes many seconds; will be aborted.
     sizes : dict of str to int
         Named sizes that are known once the problem is set.
-    kinds : list of (label, request)
-        Valid `configure` requests with what a service may have or refuse as unsupported.
+    kinds : list of (label, requests)
+        Valid requests, from `configure` on, one of which holds what a service may have or refuse as unsupported.
     """
 
-    steps: list[tuple[str, Message]]
+    steps: Requests
     advance: Callable[[int], Message]
-    whole: list[tuple[str, Message]]
+    whole: Requests
     wrong: list[Wrong]
     long: tuple[str, Message]
     sizes: dict[str, int]
-    kinds: list[tuple[str, Message]] = field(default_factory=list)
+    kinds: list[tuple[str, Requests]] = field(default_factory=list)
 
     def request(self, operation: str) -> Message:
         """Return the request of an operation of `steps`."""
@@ -208,7 +209,9 @@ def continuum_problem() -> Problem:
     return Problem(
         steps=[("configure", configure), ("register", register)],
         advance=advance,
-        kinds=kinds,
+        kinds=[
+            (label, [("configure", request), ("advance", c.ContinuumAdvance(steps=STEPS))]) for label, request in kinds
+        ],
         whole=[
             ("configure", changed(cracks=[crack])),
             *(("configure", request) for request in _with_everything(configure, kinds)),
@@ -219,90 +222,4 @@ def continuum_problem() -> Problem:
         wrong=wrong,
         long=("advance", c.ContinuumAdvance(steps=1_000_000)),
         sizes={"anchors": 8, "ivcs": 4, "edges": 2},
-    )
-
-
-def atomistic_configure(welcome: Welcome) -> a.AtomisticConfigure:
-    """Return a small sample of the first material in the first force field that the service names.
-
-    Raises
-    ------
-    ValueError
-        Where the capabilities do not name them.
-    """
-    chosen = {}
-    for name in ("force_fields", "materials"):
-        values = welcome.capabilities.get(name)
-        if not isinstance(values, list) or not values:
-            raise ValueError(f"capabilities.{name} must be a list of at least one name, is {values!r}")
-        chosen[name] = values[0]
-    sizes = [welcome.capabilities.get(f"conformance_sample_{side}", 2e-9) for side in ("width", "height")]
-    width, height = (float(size) if isinstance(size, int | float) else 2e-9 for size in sizes)
-    return a.AtomisticConfigure(
-        force_field=chosen["force_fields"],
-        sample=a.Sample(material=chosen["materials"], width=width, height=height),
-        temperature=100.0,
-        time_step=0.5e-15,
-        seed=7,
-    )
-
-
-def atomistic_problem(configure: a.AtomisticConfigure, built: a.AtomisticConfigured) -> Problem:
-    """Return the rest of the problem, with the atoms near the sample's border anchored in four IVCs."""
-    half = np.abs(built.position[:, :2]).max(axis=0)
-    scaled = built.position[:, :2] / np.where(half > 0, half, 1.0)
-    rows = np.flatnonzero(np.abs(scaled).max(axis=1) > 0.7)
-    _, ivc = np.unique(2 * (scaled[rows, 0] > 0) + (scaled[rows, 1] > 0), return_inverse=True)
-    ivc = ivc.reshape(-1).astype(np.int64)
-    register = a.AtomisticRegister(
-        atom_id=built.atom_id[rows],
-        anchor_position=built.position[rows],
-        anchor_ivc=ivc,
-        stiffness=np.full(len(rows), 30.0),
-        damping_time=1e-13,
-    )
-    equilibrate = a.EquilibrateRequest(steps=20, windows=8, window_steps=STEPS)
-
-    def advance(number: int) -> a.AtomisticAdvance:
-        shift = np.array([1e-13, -0.5e-13, 0.0])
-        return a.AtomisticAdvance(
-            steps=STEPS,
-            anchor_position=register.anchor_position + (number + 1) * shift,
-            anchor_velocity=np.broadcast_to(shift / (STEPS * configure.time_step), (len(rows), 3)).copy(),
-        )
-
-    twice, unknown = register.atom_id.copy(), register.atom_id.copy()
-    twice[1] = twice[0]
-    unknown[0] = built.atom_id.max() + 1
-    stiffness = register.stiffness.copy()
-    stiffness[0] = -1.0
-    other_material = configure.sample.model_copy(update={"material": "no such material"})
-    crack = a.CrackCut(tip_x=0.0, y=0.0)
-    wrong = [
-        Wrong("unknown force field", "configure", ("force_field",),
-              configure.model_copy(update={"force_field": "no such force field"})),
-        Wrong("unknown material", "configure", ("sample.material",),
-              configure.model_copy(update={"sample": other_material})),
-        Wrong("unknown atom", "register", ("atom_id",), register.model_copy(update={"atom_id": unknown})),
-        Wrong("an atom twice", "register", ("atom_id",), register.model_copy(update={"atom_id": twice})),
-        Wrong("negative stiffness", "register", ("stiffness",), register.model_copy(update={"stiffness": stiffness})),
-        Wrong("negative IVC", "register", ("anchor_ivc",), register.model_copy(update={"anchor_ivc": ivc - 1})),
-    ]  # fmt: skip
-    whole_sample = configure.sample.model_copy(update={"lattice_constant": 1.5e-10, "crack": crack})
-    properties = a.PropertiesRequest(
-        force_field=configure.force_field, material=configure.sample.material, temperature=0.0, seed=1
-    )
-    return Problem(
-        steps=[("configure", configure), ("register", register), ("equilibrate", equilibrate)],
-        advance=advance,
-        whole=[
-            ("properties", properties),
-            ("configure", configure.model_copy(update={"sample": whole_sample})),
-            ("register", register),
-            ("equilibrate", equilibrate),
-            ("advance", advance(0)),
-        ],
-        wrong=wrong,
-        long=("equilibrate", equilibrate.model_copy(update={"steps": 1_000_000})),
-        sizes={"atoms": len(built.atom_id), "anchors": len(rows), "ivcs": int(ivc.max()) + 1},
     )

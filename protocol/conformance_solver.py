@@ -12,12 +12,11 @@ from functools import partial
 import numpy as np
 
 from protocol import atomistic as a
-from protocol import continuum as c
 from protocol.arrays import ArraySpec
 from protocol.channel import CONNECTED, DISCONNECTED, ZmqChannel
 from protocol.conformance_kit import KitBase, NotTried
 from protocol.conformance_probe import NoAnswer, Probe, Refuted, difference, expect_error, read_reply
-from protocol.conformance_problems import STEPS, Problem, atomistic_configure, atomistic_problem, continuum_problem
+from protocol.conformance_problems import Problem, Requests, continuum_problem
 from protocol.frames import Envelope, decode
 from protocol.messages import (
     Acknowledged,
@@ -37,7 +36,7 @@ from protocol.wrong_requests import WrongRequest, wrong_requests
 LARGEST_TRIED = 1 << 27
 #: A service answers on its control socket within this time, s.
 CONTROL_SECONDS = 1.0
-_REFUSED = ("bad_field", "unsupported")
+REFUSED = ("bad_field", "unsupported")
 
 
 class SolverChecks(KitBase):
@@ -52,20 +51,29 @@ class SolverChecks(KitBase):
     def _set_problem(self) -> Problem:
         """Configure and so on up to `ready`, with the state and what is not allowed in it checked on the way."""
         assert self._welcome is not None
-        if self._welcome.role == "continuum":
-            problem = continuum_problem()
-        else:
-            try:
-                configure = atomistic_configure(self._welcome)
-            except ValueError as error:
-                raise Refuted(str(error)) from None
-            built = self._work.reply("configure", configure, a.AtomisticConfigured)
-            problem = atomistic_problem(configure, built)
+        problem = continuum_problem() if self._welcome.role == "continuum" else self._atomistic_problem()
         self._set(problem, self._check_allowed)
         return problem
 
-    def _set(self, problem: Problem, after_each: Callable[[Problem, str], None] | None = None) -> None:
+    def _atomistic_problem(self) -> Problem:
+        # Here, since that module stands on this one.
+        from protocol.conformance_atomistic import atomistic_configure, atomistic_problem
+
+        assert self._welcome is not None
+        try:
+            configure = atomistic_configure(self._welcome)
+        except ValueError as error:
+            raise Refuted(str(error)) from None
+        built = self._work.reply("configure", configure, a.AtomisticConfigured)
+        words = self._welcome.capabilities.get("ensembles")
+        return atomistic_problem(configure, built, tuple(words) if isinstance(words, list) else ())
+
+    def _set(
+        self, problem: Problem, after_each: Callable[[Problem, str], None] | None = None, collect: bool = False
+    ) -> None:
         for operation, request in problem.steps:
+            if collect and operation == "equilibrate":
+                self._work.reply("collect_fields", a.CollectRequest(active=True), a.Collecting)
             kind = self._role.operations[operation]
             reply = self._work.reply(operation, request, kind.reply)
             self._note_sizes(reply, problem.sizes)
@@ -129,9 +137,8 @@ class SolverChecks(KitBase):
         names = self._welcome.capabilities["fields"]
         assert isinstance(names, list)
         columns = {
-            "position": 3,
-            "displacement": 3,
-            "velocity": 3,
+            **dict.fromkeys(("position", "displacement", "velocity", "mean_position", "mean_velocity"), 3),
+            "virial": 6,
             "stress": 3 if self._role.name == "continuum" else 6,
         }
         for name in names:
@@ -145,7 +152,7 @@ class SolverChecks(KitBase):
     def _unknown_field_name(self) -> None:
         for names in (["no such field"], []):
             body = {"names": names}
-            expect_error(self._work.ask("fields", body), _REFUSED, ("names",))
+            expect_error(self._work.ask("fields", body), REFUSED, ("names",))
 
     def _go_back(self, problem: Problem) -> None:
         first = self._exchanges
@@ -236,27 +243,33 @@ class SolverChecks(KitBase):
         """Each thing that a service may have or not is taken, or refused as such."""
         assert self._welcome is not None
         version = Version(*self._welcome.version)
-        for label, request in problem.kinds:
-            if not newer_fields(request, version):
-                self._check(f"kinds: {label}", partial(self._taken_or_unsupported, problem, request))
+        for label, requests in problem.kinds:
+            if not any(newer_fields(request, version) for _, request in requests):
+                self._check(f"kinds: {label}", partial(self._taken_or_unsupported, requests))
 
-    def _taken_or_unsupported(self, problem: Problem, request: Message) -> str:
-        answer = self._work.ask("configure", request)
-        if answer.kind == "error":
-            report = expect_error(answer, ("unsupported",))
-            if not report.field:
-                raise Refuted(f"the error names no field: {report.sentence}")
-            return f"unsupported: {report.field}"
-        read_reply(answer, self._role.operations["configure"].reply)
-        advanced = self._work.ask("advance", c.ContinuumAdvance(steps=STEPS))
-        read_reply(advanced, self._role.operations["advance"].reply)
+    def _taken_or_unsupported(self, requests: Requests) -> str:
+        sizes: dict[str, int] = {}
+        for operation, request in requests:
+            before = self._status().step
+            answer = self._work.ask(operation, request)
+            if answer.kind == "error":
+                report = expect_error(answer, ("unsupported",))
+                if not report.field:
+                    raise Refuted(f"the error names no field: {report.sentence}")
+                return f"unsupported: {report.field}"
+            reply = read_reply(answer, self._role.operations[operation].reply)
+            self._note_sizes(reply, sizes)
+            if isinstance(request, a.EquilibrateRequest) and isinstance(reply, a.Equilibrated):
+                _check_settling(request, reply)
+            if isinstance(request, a.AtomisticAdvance) and isinstance(reply, a.AtomisticAdvanced):
+                _check_windows(request, reply, before)
         return "taken"
 
     def _refused(self, operation: str, requests: list[WrongRequest]) -> str:
         for request in requests:
             try:
                 answer = self._work.ask(operation, request.body, request.arrays)
-                expect_error(answer, _REFUSED, request.paths)
+                expect_error(answer, REFUSED, request.paths)
             except NoAnswer as problem:
                 raise NoAnswer(f"{request.label}: {problem}") from None
             except Refuted as problem:
@@ -326,7 +339,7 @@ class SolverChecks(KitBase):
         self._work.reply("configure", problem.request("configure"), self._role.operations["configure"].reply)
         answer = self._work.ask("register", problem.request("register").plain_values(), arrays)
         if answer.kind == "error":
-            expect_error(answer, _REFUSED, ("atom_id", "anchor_position"))
+            expect_error(answer, REFUSED, ("atom_id", "anchor_position"))
             detail = "no anchors: refused, as a service may"
         else:
             self._note_sizes(read_reply(answer, register.reply), {"ivcs": 0})
@@ -354,3 +367,28 @@ class SolverChecks(KitBase):
                 raise Refuted("the service still takes connections after shutdown")
         finally:
             fresh.close()
+
+
+def _check_settling(request: a.EquilibrateRequest, reply: a.Equilibrated) -> None:
+    if not request.settle:
+        return
+    if reply.settled is None or not reply.drifts or reply.steps_done is None:
+        raise Refuted("with settle the reply must have settled, drifts and steps_done")
+    if reply.steps_done > request.steps:
+        raise Refuted(f"{reply.steps_done} steps were made, {request.steps} are the most")
+    for quantity in {drift.quantity.split("_")[0] for drift in reply.drifts}:
+        group = [drift for drift in reply.drifts if drift.quantity.split("_")[0] == quantity]
+        moved = sum((drift.drift / drift.standard_error) ** 2 for drift in group if drift.standard_error > 0)
+        if reply.settled and moved > len(group) * (1.0 + 1e-9):
+            raise Refuted(f"it says settled, but the drift of {quantity} is above its error")
+
+
+def _check_windows(request: a.AtomisticAdvance, reply: a.AtomisticAdvanced, before: int) -> None:
+    most = request.most_windows if request.until_error is not None else 1
+    if not reply.windows <= most:
+        raise Refuted(f"{reply.windows} windows were made, {most} are the most")
+    if reply.step != before + reply.windows * request.steps:
+        raise Refuted(f"the step is {reply.step} after {before} and {reply.windows} windows of {request.steps}")
+    error = float(reply.ivc_standard_error.max(initial=0.0))
+    if request.until_error is not None and reply.windows < most and error > request.until_error:
+        raise Refuted(f"it ended after {reply.windows} windows with an error of {error:g} N")

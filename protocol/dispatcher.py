@@ -76,7 +76,10 @@ class Host:
                 self.stopping = True
             self.service.activity.abort.set()
             return Acknowledged(operation=running)
-        reply: Message = getattr(self.service, operation)(request)
+        perform = getattr(self.service, operation, None)
+        if perform is None:
+            raise ProtocolError("unsupported", f"{self.origin} does not have {operation}", field="type")
+        reply: Message = perform(request)
         return reply
 
     def _welcome(self, hello: Hello) -> Welcome:

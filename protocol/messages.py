@@ -31,6 +31,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 # msgpack has lists only, so a tuple alone is not strict about its kind.
 Point2 = Annotated[tuple[Finite, Finite], Field(strict=False)]
+Point3 = Annotated[tuple[Finite, Finite, Finite], Field(strict=False)]
 VersionPair = Annotated[tuple[Natural, Natural], Field(strict=False)]
 
 
@@ -165,7 +166,12 @@ def newer_fields(value: Any, version: Version, path: str = "") -> list[str]:
             entry, place = getattr(value, name), f"{path}.{name}" if path else name
             if field_version(field) <= version:
                 found += newer_fields(entry, version, place)
-            elif field.is_required() or entry != field.get_default(call_default_factory=True):
+            # No default is an array, and arrays do not compare to one truth value.
+            elif (
+                field.is_required()
+                or isinstance(entry, np.ndarray)
+                or entry != field.get_default(call_default_factory=True)
+            ):
                 found.append(place)
     elif isinstance(value, list | tuple):
         for index, entry in enumerate(value):

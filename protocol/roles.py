@@ -22,7 +22,9 @@ from protocol.messages import (
     Status,
     Welcome,
 )
+from protocol.version import Version
 
+FIRST, ATOMS = Version(1, 0), Version(1, 2)
 ANY = frozenset({"new", "configured", "registered", "ready", "failed"})
 CONFIGURED = frozenset({"configured", "registered", "ready"})
 REGISTERED = frozenset({"registered", "ready"})
@@ -42,6 +44,10 @@ class Operation:
         State after it. None: the operation does not work on the solver's state, so it cannot harm it either.
     deadline : float
         Seconds that a client waits by default.
+    since : Version
+        Version of the protocol that brought it.
+    optional : bool
+        A service has it only where `capabilities.operations` names it.
     """
 
     request: type[Message]
@@ -49,6 +55,8 @@ class Operation:
     allowed: frozenset[str]
     leads_to: str | None = None
     deadline: float = 60.0
+    since: Version = FIRST
+    optional: bool = False
 
 
 @dataclass(frozen=True)
@@ -91,7 +99,7 @@ ROLES: dict[str, Role] = {
         ),
         Role(
             "atomistic",
-            "run M steps while anchors are held; time-averaged reaction forces with their standard error; fields",
+            "run M steps under anchors; time-averaged reaction forces with their standard error; fields",
             {
                 "hello": HELLO,
                 "properties": Operation(a.PropertiesRequest, a.Properties, ANY, None, 600.0),
@@ -100,6 +108,15 @@ ROLES: dict[str, Role] = {
                 "equilibrate": Operation(a.EquilibrateRequest, a.Equilibrated, REGISTERED, "ready", 3600.0),
                 "advance": Operation(a.AtomisticAdvance, a.AtomisticAdvanced, READY, "ready", 3600.0),
                 "fields": Operation(FieldsRequest, FieldsReply, CONFIGURED),
+                "collect_fields": Operation(
+                    a.CollectRequest, a.Collecting, CONFIGURED, None, 120.0, since=ATOMS, optional=True
+                ),
+                "grid_fields": Operation(
+                    a.GridFieldsRequest, a.GridFields, CONFIGURED, None, 600.0, since=ATOMS, optional=True
+                ),
+                "j_integral": Operation(
+                    a.JIntegralRequest, a.JIntegral, READY, None, 600.0, since=ATOMS, optional=True
+                ),
                 "checkpoint": Operation(Empty, CheckpointReply, READY, "ready", 120.0),
                 "restore": Operation(RestoreRequest, Restored, REGISTERED, "ready", 120.0),
                 "status": Operation(Empty, Status, ANY, deadline=5.0),

@@ -135,8 +135,10 @@ def _operation_table(operations: dict[str, Operation]) -> list[str]:
     ]
     for name, operation in operations.items():
         allowed = "any" if operation.allowed == ANY else ", ".join(s for s in STATES if s in operation.allowed)
+        added = f", since {operation.since}" if operation.since > Version(1, 0) else ""
+        label = f"`{name}`{' (optional)' if operation.optional else ''}{added}"
         rows.append(
-            f"| `{name}` | {operation.request.__name__} | {operation.reply.__name__} | {allowed} | "
+            f"| {label} | {operation.request.__name__} | {operation.reply.__name__} | {allowed} | "
             f"{operation.leads_to or 'the same'} | {operation.deadline:g} |"
         )
     return rows

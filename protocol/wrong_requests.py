@@ -153,7 +153,7 @@ def _value_faults(
         yield path, "a number", 7
         yield path, "too short", value[:-1]
         yield from _value_faults(arguments[0], [], value[0], (*path, 0), version)
-    elif annotation is str:
+    elif annotation in (str, bool):
         yield path, "a number", 7
     elif annotation in (int, float):
         yield path, "text", "1"

@@ -5,9 +5,11 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from statistics import median
 
+import click
 import pytest
 
 from coordinator import cli
@@ -128,3 +130,68 @@ def test_check_describes_the_scene(
 ) -> None:
     assert run_main(monkeypatch, "check", str(scene)) == 0
     assert "Small sheet in a small body" in capsys.readouterr().out
+
+
+@click.command(short_help="Greet somebody.")
+@click.option("--name", default="nobody")
+def greet(name: str) -> None:
+    click.echo(f"hello {name}")
+
+
+def announce(monkeypatch: pytest.MonkeyPatch, **commands: str) -> None:
+    """Let packages announce commands, each with the place of its object."""
+    points = {name: EntryPoint(name, value, cli.COMMANDS) for name, value in commands.items()}
+    monkeypatch.setattr(cli, "_announced", lambda: points)
+
+
+def test_a_command_of_another_package_is_listed_and_runs(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "greeting", sys.modules[__name__])
+    announce(monkeypatch, greet="greeting:greet")
+    assert run_main(monkeypatch, "--help") == 0
+    shown = capsys.readouterr().out
+    assert "  greet " in shown and "Greet somebody." in shown and "  run " in shown
+    assert run_main(monkeypatch, "greet", "--name", "you") == 0
+    assert capsys.readouterr().out == "hello you\n"
+
+
+@pytest.mark.parametrize(
+    ("value", "reason"),
+    [
+        ("no_such_package.commands:sample", "No module named 'no_such_package'"),
+        ("coordinator.cli:no_such_object", "no_such_object"),
+        ("coordinator.cli:COMMANDS", "no click command but str"),
+    ],
+)
+def test_a_broken_command_of_another_package_spoils_no_other(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], value: str, reason: str
+) -> None:
+    announce(monkeypatch, broken=value)
+    assert run_main(monkeypatch, "--help") == 0
+    shown = capsys.readouterr().out
+    assert "  broken " in shown and "cannot be loaded" in shown and "  verify " in shown
+    assert run_main(monkeypatch, "backends") == 0
+    capsys.readouterr()
+    for words in ([], ["graphene", "--width", "5 nm"], ["--help"]):
+        assert run_main(monkeypatch, "broken", *words) == 1
+        told = capsys.readouterr().err
+        assert "'broken'" in told and value in told and reason in told
+        assert "Traceback" not in told
+
+
+def test_no_package_replaces_a_command_of_the_command_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "greeting", sys.modules[__name__])
+    announce(monkeypatch, run="greeting:greet")
+    assert run_main(monkeypatch, "run") == 2
+    assert "SCENE" in capsys.readouterr().err
+
+
+def test_an_unknown_command_is_told_as_before(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    announce(monkeypatch, greet="greeting:greet")
+    assert run_main(monkeypatch, "weave") == 2
+    assert "weave" in capsys.readouterr().err

@@ -13,7 +13,8 @@ import numpy as np
 from md_service.elastic_constants import measure_graphene
 from md_service.errors import EngineError
 from md_service.force_fields import force_field
-from md_service.graphene import CrackCut, sheet
+from md_service.atoms import CrackCut
+from md_service.graphene import graphene
 from md_service.parallel import ParallelEngine, follow
 from md_service.ranks import MpiRanks
 
@@ -23,12 +24,14 @@ if ranks.rank > 0:
     sys.exit(0)
 folder, output = sys.argv[1:]
 crack = CrackCut(0.0)
-x = sheet(30e-10, 30e-10, force_field("airebo").lattice_constant, crack).position
+profile = force_field("airebo")
+atoms = graphene(30e-10, 30e-10, spacing=profile.lattice_constant, crack=crack)
+x = atoms.position
 ids = np.flatnonzero(np.abs(x[:, :2]).max(axis=1) > 9e-10)
 ivc = (x[ids, 0] > 0).astype(np.int64)
 young = measure_graphene("tersoff", 0.0, folder).young
-engine = ParallelEngine(ranks, folder, "airebo", x, crack, temperature=0.0, seed=1)
-engine.register_anchors(ids, x[ids], np.full(len(ids), 30.0), ivc, 5e-13)
+engine = ParallelEngine(ranks, folder, profile, atoms, temperature=0.0, seed=1, time_step=profile.time_step)
+engine.register_anchors(ids, x[ids], np.full(len(ids), 30.0), ivc, 4e-14)
 told = []
 engine.measure_reference(8, 10, progress=lambda done, total: told.append(done))
 engine.collect_fields(True)

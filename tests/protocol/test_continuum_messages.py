@@ -42,7 +42,7 @@ def refused(**changes: Any) -> ProtocolError:
     return bad_field(caught.value, "configure")
 
 
-@pytest.mark.parametrize("request_", [request for _, request in PROBLEM.kinds], ids=[k for k, _ in PROBLEM.kinds])
+@pytest.mark.parametrize("request_", [steps[0][1] for _, steps in PROBLEM.kinds], ids=[k for k, _ in PROBLEM.kinds])
 def test_every_kind_arrives_as_it_was_sent(request_: c.ContinuumConfigure) -> None:
     assert sent(request_) == request_
 

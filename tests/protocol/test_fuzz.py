@@ -27,7 +27,8 @@ from protocol import atomistic as a
 from protocol import continuum as c
 from protocol.channel import InProcessChannel
 from protocol.client import Client
-from protocol.conformance_problems import Problem, atomistic_configure, atomistic_problem, continuum_problem
+from protocol.conformance_atomistic import atomistic_configure, atomistic_problem
+from protocol.conformance_problems import Problem, continuum_problem
 from protocol.dispatcher import KEPT_IDS, Host
 from protocol.errors import CODES
 from protocol.frames import Envelope, Frame, decode, encode

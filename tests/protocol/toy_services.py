@@ -33,6 +33,12 @@ def bad(field: str, problem: str) -> ProtocolError:
     return ProtocolError("bad_field", f"{field}: {problem}", field=field)
 
 
+def refuse_newer(request: Any) -> None:
+    """Refuse what version 1.2 brought; a toy may do without it."""
+    for field in newer_fields(request, Version(1, 1)):
+        raise ProtocolError("unsupported", f"{field}: this toy knows nothing of it", field=field)
+
+
 class Toy(Service):
     """What both toys share: a state in named arrays, checkpoint, restore, noise that a checkpoint reseeds."""
 
@@ -248,7 +254,9 @@ class ToyAtomistic(Toy):
             raise bad(field, f"no material {material!r}, allowed is square")
 
     def configure(self, request: a.AtomisticConfigure) -> a.AtomisticConfigured:
+        refuse_newer(request)
         sample = request.sample
+        assert sample is not None
         self._check_names(request.force_field, "sample.material", sample.material)
         lattice = sample.lattice_constant or 2e-10
         counts = [round(min(size / lattice, 1e9)) + 1 for size in (sample.width, sample.height)]
@@ -279,6 +287,7 @@ class ToyAtomistic(Toy):
         self.state["reference"] = np.zeros((len(rows), 3))
 
     def register(self, request: a.AtomisticRegister) -> a.AtomisticRegistered:
+        refuse_newer(request)
         unknown = np.setdiff1d(request.atom_id, self.ids)
         if len(unknown):
             raise bad("atom_id", f"no atom {unknown[0]}")
@@ -316,6 +325,7 @@ class ToyAtomistic(Toy):
         return summed
 
     def equilibrate(self, request: a.EquilibrateRequest) -> a.Equilibrated:
+        refuse_newer(request)
         rest = np.zeros_like(self.anchor)
         if request.steps + request.windows * request.window_steps > self.most_steps:
             raise ProtocolError("unsupported", f"windows: more than {self.most_steps} steps", field="windows")
@@ -331,6 +341,7 @@ class ToyAtomistic(Toy):
         )  # fmt: skip
 
     def advance(self, request: a.AtomisticAdvance) -> a.AtomisticAdvanced:
+        refuse_newer(request)
         if len(request.anchor_position) != len(self.rows):
             raise bad("anchor_position", f"has {len(request.anchor_position)} rows, registered are {len(self.rows)}")
         force = self.window(request.steps, request.anchor_position, request.anchor_velocity) - self.state["reference"]

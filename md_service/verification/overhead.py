@@ -1,4 +1,4 @@
-"""Cases of the MD service for `scalebridge verify`."""
+"""Case `whole/md-overhead`: MD through the service against the same LAMMPS input run bare."""
 
 from __future__ import annotations
 
@@ -11,16 +11,15 @@ from statistics import median
 
 import numpy as np
 
+from md_service.backend import mpi_launcher
 from md_service.force_fields import force_field as profile_of
-from md_service.overhead import DAMPING_TIME, STIFFNESS, TEMPERATURE, BareRun, framed_sheet
+from md_service.overhead import DAMPING_TIME, SIZE, STIFFNESS, TEMPERATURE, framed_sheet
 from protocol import atomistic as messages
 from protocol.client import Client
 from protocol.messages import Acknowledged
 from protocol.verification import CannotRun, Case, Check
 
 FORCE_FIELD = "airebo"
-SIZE = 103e-10  # m, edge of the sheet
-MARGIN = 15e-10  # m, width of the anchored frame
 ROUNDS = 7
 STEPS = 200
 #: Allowed slowdown by M, from the design of the service.
@@ -35,35 +34,53 @@ Server(make_service(Path(sys.argv[1])), sys.argv[2], parent=int(sys.argv[3])).ru
 """
 
 
-class _ServedSheet:
-    """The sheet of `BareRun` behind a service of its own process."""
+def _words(ranks: int) -> list[str]:
+    return [*([] if ranks == 1 else mpi_launcher(ranks)), sys.executable]
 
-    def __init__(self, folder: Path, window: int) -> None:
+
+class ServedSheet:
+    """The sheet of `BareSheet` behind a service of its own process.
+
+    Parameters
+    ----------
+    folder : Path
+        Made.
+    force_field : str
+        Profile name.
+    window : int
+        Steps M.
+    ranks : int
+        MPI ranks of the service.
+    """
+
+    def __init__(self, folder: Path, force_field: str, window: int, ranks: int = 1) -> None:
         folder.mkdir()
         endpoint = f"ipc://{folder / 'socket'}"
-        self._process = subprocess.Popen([sys.executable, "-c", _SERVE, str(folder), endpoint, str(os.getpid())])
+        words = [*_words(ranks), "-c", _SERVE, str(folder), endpoint, str(os.getpid())]
+        self._process = subprocess.Popen(words)
         self._client = Client.connect(endpoint, "atomistic")
-        position, frame = framed_sheet(FORCE_FIELD, SIZE, MARGIN)
-        self._window = window
+        self.window = window
         self._client.call(
             "configure",
             messages.AtomisticConfigure(
-                force_field=FORCE_FIELD,
+                force_field=force_field,
                 sample=messages.Sample(material="graphene", width=SIZE, height=SIZE),
                 temperature=TEMPERATURE,
-                time_step=profile_of(FORCE_FIELD).time_step,
+                time_step=profile_of(force_field).time_step,
                 seed=1,
             ),
             messages.AtomisticConfigured,
         )
+        atoms, frame = framed_sheet(force_field)
+        place = atoms.position[frame]
         self._advance = messages.AtomisticAdvance(
-            steps=window, anchor_position=position[frame], anchor_velocity=np.zeros((len(frame), 3))
+            steps=window, anchor_position=place, anchor_velocity=np.zeros_like(place)
         )
         self._client.call(
             "register",
             messages.AtomisticRegister(
                 atom_id=frame,
-                anchor_position=position[frame],
+                anchor_position=place,
                 anchor_ivc=np.zeros(len(frame), dtype=np.int64),
                 stiffness=np.full(len(frame), STIFFNESS),
                 damping_time=DAMPING_TIME,
@@ -79,7 +96,7 @@ class _ServedSheet:
     def seconds_per_step(self, steps: int) -> float:
         """Advance in windows and return the wall time of a step at the client, s."""
         start = time.perf_counter()
-        for _ in range(steps // self._window):
+        for _ in range(steps // self.window):
             self._client.call("advance", self._advance, messages.AtomisticAdvanced)
         return (time.perf_counter() - start) / steps
 
@@ -90,12 +107,51 @@ class _ServedSheet:
         self._process.wait(10)
 
 
+class BareSheet:
+    """`md_service.overhead.BareRun` in processes of its own, so that both sides may have several ranks.
+
+    Parameters
+    ----------
+    folder : Path
+        For the LAMMPS log.
+    force_field : str
+        Profile name.
+    window : int
+        Steps M of the averages.
+    anchored : bool
+        With anchors, or atoms alone.
+    ranks : int
+        MPI ranks.
+    """
+
+    def __init__(self, folder: Path, force_field: str, window: int, anchored: bool = True, ranks: int = 1) -> None:
+        kind = "anchored" if anchored else "free"
+        words = [*_words(ranks), "-m", "md_service.overhead", str(folder), force_field, str(window), kind]
+        self._process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        assert self._process.stdin is not None and self._process.stdout is not None  # asked for above
+        self._input, self._output = self._process.stdin, self._process.stdout
+        if self._output.readline().strip() != "ready":
+            raise CannotRun(f"the bare run of {force_field} ended with status {self._process.wait()}")
+
+    def seconds_per_step(self, steps: int) -> float:
+        """Run without a break and return the wall time of a step, s."""
+        self._input.write(f"{steps}\n")
+        self._input.flush()
+        return float(self._output.readline())
+
+    def close(self) -> None:
+        """End the processes."""
+        self._input.close()
+        self._process.wait(10)
+        self._output.close()
+
+
 def overhead(folder: Path) -> list[Check]:
     """Time MD through the service against the same LAMMPS input run bare, in turn in one run."""
     if not hasattr(os, "sched_setaffinity"):
         raise CannotRun("processes cannot be kept on one core here, and cores differ by more than what is measured")
     cores = os.sched_getaffinity(0)
-    # Both sides take turns on one core; the service inherits it.
+    # Both sides take turns on one core, which their processes inherit.
     os.sched_setaffinity(0, {min(cores)})
     try:
         return _overhead_on_one_core(folder)
@@ -106,8 +162,8 @@ def overhead(folder: Path) -> list[Check]:
 def _overhead_on_one_core(folder: Path) -> list[Check]:
     checks = []
     for window, limit in LIMITS.items():
-        served = _ServedSheet(folder / f"M{window}", window)
-        bare = BareRun(folder / f"bare{window}", window, force_field=FORCE_FIELD, size=SIZE, margin=MARGIN)
+        served = ServedSheet(folder / f"M{window}", FORCE_FIELD, window)
+        bare = BareSheet(folder / f"bare{window}", FORCE_FIELD, window)
         ratios = [served.seconds_per_step(STEPS) / bare.seconds_per_step(STEPS) for _ in range(ROUNDS)]
         served.close()
         bare.close()

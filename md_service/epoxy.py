@@ -1,0 +1,130 @@
+"""Builder of the cross-linked epoxy EPON 862 (DGEBF) / DETDA.
+
+Molecules are packed like a gas, compressed, cross-linked by distance, and annealed with OPLS-AA. A unit is two DGEBF
+and one DETDA, 117 atoms, in which every amine hydrogen has its epoxide group.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from md_service.atoms import Atoms
+from md_service.epoxy_curing import conversion_of, cure
+from md_service.epoxy_monomers import ELEMENT_MASS, Molecule, monomer
+from md_service.epoxy_packing import pack
+from md_service.epoxy_relaxation import ATMOSPHERE, HOT, Schedule, compress, relax
+from md_service.epoxy_rings import speared_rings
+from md_service.epoxy_typing import elements_of
+from md_service.errors import EngineError
+
+#: Molecules of a unit.
+UNIT: Final = (monomer("DGEBF"), monomer("DGEBF"), monomer("DETDA"))
+UNIT_ATOMS: Final = sum(len(molecule) for molecule in UNIT)  # 117
+UNIT_MASS: Final = sum(molecule.mass for molecule in UNIT)  # kg
+MELT_DENSITY: Final = 1200.0  # kg/m^3, at which it is cured
+
+
+def build_epoxy(
+    units: int,
+    conversion: float = 0.76,
+    temperature: float = 300.0,
+    seed: int = 1,
+    work_dir: Path | None = None,
+    platelet: Molecule | None = None,
+    schedule: Schedule | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Atoms:
+    """Build a cross-linked epoxy, at rest at a temperature and at atmospheric pressure.
+
+    Parameters
+    ----------
+    units : int
+        Number of units of 117 atoms.
+    conversion : float
+        Share of epoxide groups that have reacted, met to the nearest group.
+    temperature : float
+        Of the relaxed sample, K.
+    seed : int
+        Of all random choices; one rank with the same seed gives the same sample.
+    work_dir : Path, optional
+        Folder of the LAMMPS files; a temporary one if not given.
+    platelet : Molecule, optional
+        A filler, bonded in itself, around which the resin is built. Planar carbon and hydrogen.
+    schedule : Schedule, optional
+        Times of the relaxation.
+    progress : callable, optional
+        Given a line of text after each part.
+
+    Returns
+    -------
+    Atoms
+        Typed for OPLS-AA, in a periodic cube. Notes hold seed, units, conversion, density (kg/m^3).
+
+    Raises
+    ------
+    ValueError
+        If units is not positive, or the conversion is not between 0 and 1.
+    EngineError
+        If LAMMPS stops, or the sample fails a check.
+    """
+    if units < 1:
+        raise ValueError(f"units is {units}; at least one is needed")
+    if not 0.0 <= conversion <= 1.0:
+        raise ValueError(f"conversion is {conversion}; it must lie between 0 and 1")
+    if work_dir is None:
+        with tempfile.TemporaryDirectory() as folder:
+            return build_epoxy(
+                units, conversion, temperature, seed, Path(folder), platelet, schedule, progress
+            )
+    tell = progress or (lambda line: None)
+    atoms = pack(UNIT * units, seed, platelet)
+    tell(f"packed {len(atoms)} atoms at {atoms.density:.0f} kg/m3")
+    atoms = compress(atoms, MELT_DENSITY, HOT, seed, work_dir)
+    tell(f"compressed to {atoms.density:.0f} kg/m3")
+    atoms = cure(atoms, conversion, seed, work_dir, progress)
+    atoms, density = relax(atoms, temperature, seed, work_dir, ATMOSPHERE, schedule)
+    tell(f"relaxed to {atoms.density:.0f} kg/m3 at {temperature:g} K")
+    speared = speared_rings(atoms)
+    if speared:
+        raise EngineError(f"bond {speared[0][0]} passes through the ring of atoms {speared[0][1]}; try another seed")
+    # Molecules near the origin again, whole: only the images of unreacted pieces differ.
+    return replace(
+        atoms,
+        notes={
+            "material": "EPON 862 / DETDA",
+            "units": units,
+            "seed": seed,
+            "conversion": conversion_of(atoms),
+            "temperature": temperature,
+            "density": atoms.density,
+            "density_drift": float(density[len(density) // 2 :].mean() - density[: len(density) // 2].mean()),
+        },
+    )
+
+
+def without_topology(atoms: Atoms) -> Atoms:
+    """The same atoms with elements as species, no bonds and no charges, for reactive force fields.
+
+    Returns
+    -------
+    Atoms
+        Species in the order C, H, N, O as far as they occur.
+    """
+    elements = elements_of(atoms)
+    species = tuple(sorted(set(elements)))
+    number = {element: index for index, element in enumerate(species)}
+    return replace(
+        atoms,
+        kind=np.array([number[element] for element in elements], dtype=np.int64),
+        species=species,
+        elements=species,
+        mass=np.array([ELEMENT_MASS[element] for element in species]),
+        charge=None,
+        topology=None,
+    )
