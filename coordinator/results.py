@@ -6,7 +6,8 @@ place in one move. Whoever opens the file, at any time, finds the whole state of
 ==================  =====================================================================
 ``/h5md``           root of H5MD 1.1
 ``/particles``      atoms, H5MD (nm, ps)
-``/observables``    fields of the atoms on a grid, H5MD; only where the scene asks for them
+``/observables``    fields of the atoms on a grid, H5MD; only where the scene asks for them, and then
+                    also as images in files of the folder `fields` beside this one
 ``/VTKHDF``         material points, VTKHDF (Angstrom, ps, GPa)
 ``/time_series``    one array a quantity, SI, with attributes `unit` and `description`
 ``/interface``      cells, anchors, overlap, and force and standard error of each cell, SI
@@ -33,10 +34,13 @@ from numpy.typing import ArrayLike
 
 from coordinator import h5md, vtkhdf
 from coordinator.atom_measurements import MeasuredFields
+from coordinator.grid_vtkhdf import write_grid
 from coordinator.series import series_of
 from protocol.arrays import FloatArray, IntArray
 
 _CHUNK = 1024
+#: Folder beside the file, for images of fields on a grid, which VTKHDF has one a file.
+GRID_FOLDER = "fields"
 _STATIC_INTERFACE = ("ivc_lower", "ivc_upper", "anchor_position", "anchor_ivc", "inner", "outer")
 
 
@@ -207,6 +211,9 @@ class ResultsWriter:
             os.fsync(handle.fileno())
         os.replace(temporary, self.path)
         _sync_folder(self.path.parent)
+        for step, _, fields in self._measured:
+            if fields.grid is not None:
+                write_grid(self.path.parent / GRID_FOLDER / f"grid_{step:08d}.vtkhdf", fields.grid, fields.on_grid)
         # Only now: an interrupt before the move leaves the old file and the whole buffer.
         self._exists = True
         buffers: tuple[list[Any], ...] = (

@@ -7,6 +7,7 @@ field, its object a callable that takes the `ase.Atoms` of the sample and return
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -221,6 +222,8 @@ def _tersoff(atoms: Any) -> Any:
     values = next(row.split()[3:] for row in rows if row.split()[:3] == ["C", "C", "C"])
     names = ("m", "gamma", "lambda3", "c", "d", "h", "n", "beta", "lambda2", "B", "R", "D", "lambda1", "A")
     p = dict(zip(names, map(float, values), strict=True))
+    # matscipy throws away what this warning is about.
+    warnings.filterwarnings("ignore", "'where' used without 'out'", UserWarning, module="matscipy")
     form = _installed("matscipy.calculators.manybody.explicit_forms.tersoff_brenner")
     parameters = {
         "style": "Tersoff",

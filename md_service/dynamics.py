@@ -88,7 +88,7 @@ class Dynamics(Protocol):
         """
 
     def hold(self, ensemble: Ensemble | None) -> None:
-        """Couple all atoms to an ensemble beside the anchors; None goes back to the anchors' own damper alone."""
+        """Couple all atoms to an ensemble beside the anchors and their damper; None goes back to these alone."""
 
     def draw_velocities(self, temperature: float) -> None:
         """Maxwell-Boltzmann velocities (K) without total momentum; from seed and step."""

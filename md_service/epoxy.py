@@ -14,7 +14,8 @@ from typing import Final
 
 import numpy as np
 
-from md_service.atoms import Atoms
+from md_service.atoms import Atoms, Box
+from md_service.data_file import read_data_file, write_data_file
 from md_service.epoxy_curing import conversion_of, cure
 from md_service.epoxy_monomers import ELEMENT_MASS, Molecule, monomer
 from md_service.epoxy_packing import pack
@@ -22,11 +23,13 @@ from md_service.epoxy_relaxation import ATMOSPHERE, HOT, Schedule, compress, rel
 from md_service.epoxy_rings import speared_rings
 from md_service.epoxy_typing import elements_of
 from md_service.errors import EngineError
+from md_service.units import LENGTH
 
 #: Molecules of a unit.
 UNIT: Final = (monomer("DGEBF"), monomer("DGEBF"), monomer("DETDA"))
 UNIT_ATOMS: Final = sum(len(molecule) for molecule in UNIT)  # 117
 UNIT_MASS: Final = sum(molecule.mass for molecule in UNIT)  # kg
+SHIPPED: Final = Path(__file__).parent / "data" / "epoxy_153.data.gz"
 MELT_DENSITY: Final = 1200.0  # kg/m^3, at which it is cured
 
 
@@ -79,9 +82,7 @@ def build_epoxy(
         raise ValueError(f"conversion is {conversion}; it must lie between 0 and 1")
     if work_dir is None:
         with tempfile.TemporaryDirectory() as folder:
-            return build_epoxy(
-                units, conversion, temperature, seed, Path(folder), platelet, schedule, progress
-            )
+            return build_epoxy(units, conversion, temperature, seed, Path(folder), platelet, schedule, progress)
     tell = progress or (lambda line: None)
     atoms = pack(UNIT * units, seed, platelet)
     tell(f"packed {len(atoms)} atoms at {atoms.density:.0f} kg/m3")
@@ -93,7 +94,6 @@ def build_epoxy(
     speared = speared_rings(atoms)
     if speared:
         raise EngineError(f"bond {speared[0][0]} passes through the ring of atoms {speared[0][1]}; try another seed")
-    # Molecules near the origin again, whole: only the images of unreacted pieces differ.
     return replace(
         atoms,
         notes={
@@ -106,6 +106,20 @@ def build_epoxy(
             "density_drift": float(density[len(density) // 2 :].mean() - density[: len(density) // 2].mean()),
         },
     )
+
+
+def shipped_epoxy() -> Atoms:
+    """The sample of 153 units (17901 atoms) that comes with the package; its notes name the command that made it."""
+    return read_data_file(SHIPPED)[0]
+
+
+def write_for_shipping(atoms: Atoms, path: Path) -> None:
+    """Write a sample with positions to 1e-4 Angstrom, which makes the packed file small."""
+    position = np.round(atoms.position / LENGTH, 4)
+    edges = np.round((atoms.box.high - atoms.box.low) / LENGTH, 4)
+    low = np.round(atoms.box.low / LENGTH, 4)
+    box = Box(low * LENGTH, (low + edges) * LENGTH, atoms.box.periodic)
+    write_data_file(path, atoms.at(position * LENGTH, box), "real", "full")
 
 
 def without_topology(atoms: Atoms) -> Atoms:

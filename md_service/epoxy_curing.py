@@ -116,7 +116,9 @@ def cure(
             refused.update((reaction.nitrogen, reaction.carbon) for reaction in reactions)
             if not reactions:
                 if reach > LAST_REACH:
-                    raise EngineError(f"no amine is within {reach * 1e10:.1f} A of an epoxide at {done} of {target} bonds")
+                    raise EngineError(
+                        f"no amine is within {reach * 1e10:.1f} A of an epoxide at {done} of {target} bonds"
+                    )
                 reach += REACH_STEP
             atoms = _moved_on(atoms, seed + stage, work_dir)
             continue
@@ -153,7 +155,7 @@ def _partners(atoms: Atoms, reach: float, most: int, refused: set[tuple[int, int
     through = {segment for segment, _ in crossings(atoms.position, atoms.box, segments, aromatic_rings(graph))}
     oxygen_of = dict(groups)
     used: set[int] = set()
-    chosen = []
+    chosen: list[Reaction] = []
     for n, c in free:
         if len(chosen) == most:
             break
@@ -164,9 +166,7 @@ def _partners(atoms: Atoms, reach: float, most: int, refused: set[tuple[int, int
     return chosen
 
 
-def _within(
-    atoms: Atoms, first: NDArray[np.int64], second: NDArray[np.int64], reach: float
-) -> NDArray[np.int64]:
+def _within(atoms: Atoms, first: NDArray[np.int64], second: NDArray[np.int64], reach: float) -> NDArray[np.int64]:
     """Pairs (m, 2) of rows closer than a distance, the closest first."""
     box = atoms.box
     inside = box.wrapped(atoms.position)[0] - box.low

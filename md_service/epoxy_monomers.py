@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 
 from md_service.units import MASS
 
-ELEMENT_MASS: Final = {name: value * MASS for name, value in {"H": 1.008, "C": 12.011, "N": 14.007, "O": 15.999}.items()}
+ELEMENT_MASS: Final = {
+    name: value * MASS for name, value in {"H": 1.008, "C": 12.011, "N": 14.007, "O": 15.999}.items()
+}
 _TABLE = Path(__file__).parent / "data" / "epoxy_monomers.toml"
 
 

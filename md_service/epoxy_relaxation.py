@@ -88,7 +88,7 @@ class ResinRun:
         self.session.commands([f"bond_coeff {number} {stiffness * factor!r} {length!r}"])
 
     def damp(self, steps: int, temperature: float) -> None:
-        """Run with a strong thermostat and at most 0.1 Angstrom of way a step, to take up the energy of bad contacts."""
+        """Run with a strong thermostat and at most 0.1 Angstrom of way a step, to take up the energy of contacts."""
         self._run(
             steps,
             ["fix move all nve/limit 0.1", f"fix bath all langevin {temperature!r} {temperature!r} 100.0 {self._seed}"],

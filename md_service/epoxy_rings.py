@@ -85,9 +85,7 @@ def crossings(
     origin = nearest_image(start[segment] + 0.5 * along[segment] - a, box) - 0.5 * along[segment]
     hit = np.zeros(len(segment), dtype=bool)
     for edge in range(_RING):
-        hit |= _through_triangle(
-            origin, along[segment], corner[ring, edge] - a, corner[ring, (edge + 1) % _RING] - a
-        )
+        hit |= _through_triangle(origin, along[segment], corner[ring, edge] - a, corner[ring, (edge + 1) % _RING] - a)
     return [
         ((int(segments[s, 0]), int(segments[s, 1])), tuple(rings[r].tolist()))
         for s, r in zip(segment[hit], ring[hit], strict=True)

@@ -6,7 +6,7 @@ OPLS-AA sum to zero over each of the groups that occur here, before and after a 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -258,9 +258,9 @@ def _topology(graph: BondGraph, bonds: NDArray[np.int64], classes: list[str]) ->
         for centre in range(len(classes))
         if classes[centre] == "CA"
     ]
-    bond_names, bond_rows = _named([tuple(row) for row in bonds.tolist()], classes)
-    angle_names, angle_rows = _named(angles, classes)
-    dihedral_names, dihedral_rows = _named(dihedrals, classes)
+    bond_names, bond_rows = _named([tuple(row) for row in bonds.tolist()], 2, classes)
+    angle_names, angle_rows = _named(angles, 3, classes)
+    dihedral_names, dihedral_rows = _named(dihedrals, 4, classes)
     improper_rows = np.zeros((len(impropers), 5), dtype=np.int64)
     improper_rows[:, 1:] = np.array(impropers, dtype=np.int64).reshape(-1, 4)
     improper_names = (f"{ANY}-{ANY}-CA-{ANY}",) if impropers else ()
@@ -269,11 +269,12 @@ def _topology(graph: BondGraph, bonds: NDArray[np.int64], classes: list[str]) ->
     )
 
 
-def _named(terms: list[tuple[int, ...]], classes: list[str]) -> tuple[tuple[str, ...], NDArray[np.int64]]:
-    """Names of the kinds of terms in the alphabet's order, and rows of (kind, atoms)."""
+def _named(
+    terms: Sequence[tuple[int, ...]], width: int, classes: list[str]
+) -> tuple[tuple[str, ...], NDArray[np.int64]]:
+    """Names of the kinds of terms of so many atoms, in the alphabet's order, and rows of (kind, atoms)."""
     names = ["-".join(canonical([classes[atom] for atom in term])) for term in terms]
     kinds = tuple(sorted(set(names)))
     number = {name: index for index, name in enumerate(kinds)}
-    width = len(terms[0]) if terms else 0
     rows = np.array([(number[name], *term) for name, term in zip(names, terms, strict=True)], dtype=np.int64)
     return kinds, rows.reshape(-1, width + 1)

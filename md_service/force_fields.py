@@ -67,6 +67,8 @@ class ForceField:
         LAMMPS fixes that belong to it, such as charge equilibration.
     molecular : bool
         Whether it needs a topology of bonds, with coefficients by type label.
+    pairwise : bool
+        Whether forces act between pairs alone; then a flat sheet has no stiffness across, and moves in its plane.
     lattice : dict of str to dict of float to float
         Nearest-neighbour distance, m, of each material at 0 K and at least one temperature above, K.
     lattice_error : dict of str to dict of float to float
@@ -100,6 +102,7 @@ class ForceField:
     file_name: str | None = None
     fixes: tuple[str, ...] = ()
     molecular: bool = False
+    pairwise: bool = False
     lattice: dict[str, dict[float, float]] = field(default_factory=dict, hash=False)
     lattice_error: dict[str, dict[float, float]] = field(default_factory=dict, hash=False)
     switching_start: float | None = None
@@ -234,6 +237,7 @@ def _profile(name: str, entry: dict[str, Any]) -> ForceField:
         file_name=entry.get("file"),
         fixes=tuple(entry.get("fixes", ())),
         molecular=entry.get("molecular", False),
+        pairwise=entry.get("pairwise", False),
         lattice={material: _column(rows, 0) for material, rows in entry.get("lattice", {}).items()},
         lattice_error={material: _column(rows, 1) for material, rows in entry.get("lattice", {}).items()},
         switching_start=start,

@@ -20,6 +20,7 @@ from md_service.lammps_anchors import HANDSHAKE, MOBILE, LammpsAnchors
 from md_service.lammps_ensembles import TALLIED, THERMOSTAT, ensemble_commands, ensemble_removal_commands
 from md_service.ranks import Ranks
 
+_DAMPER: Final = "anchor_damper"  # fix
 _MINIMISER_TOLERANCE: Final = 1.6e-17  # N, norm of all forces
 _ANCHOR_ARRAYS: Final = ("atom_id", "position", "velocity", "stiffness", "ivc", "damping", "kind", "force", "moving")
 _SAMPLE: Final = "c_atom_energy " + " ".join(f"c_atom_stress[{column}]" for column in range(1, 7))
@@ -75,7 +76,8 @@ class LammpsDynamics:
         if seed > 2**53:
             raise ValueError(f"seed is {seed}; at most {2**53} is allowed, so that a saved state can hold it")
         self.atoms = atoms
-        self.dimension = 3
+        planar = force_field.pairwise and bool(np.ptp(atoms.position[:, 2]) == 0.0)
+        self.dimension = 2 if planar else 3
         self.step = 0
         self.anchors: Anchors | None = None
         self.failure = ""
@@ -113,7 +115,7 @@ class LammpsDynamics:
     # Motion ---------------------------------------------------------------------------------------------------
 
     def hold(self, ensemble: Ensemble | None) -> None:
-        """Couple all atoms to an ensemble beside the anchors; None goes back to the anchors' own damper alone."""
+        """Couple all atoms to an ensemble beside the anchors and their damper; None goes back to these alone."""
         self._command(self._motion_removal_commands())
         self._ensemble = ensemble
         self._set_motion()
@@ -125,6 +127,7 @@ class LammpsDynamics:
         random = np.random.default_rng([self._seed, self.step])
         velocity = random.normal(0.0, 1.0, (len(mass), 3)) * spread[:, None]
         velocity -= mass @ velocity / mass.sum()
+        velocity[:, self.dimension :] = 0.0
         if self.anchors is not None and self.anchors.passive.any():
             carried = self.anchors.atom_id[self.anchors.passive]
             velocity[carried] = self._system.velocity()[carried]
@@ -307,22 +310,24 @@ class LammpsDynamics:
     def _set_motion(self) -> None:
         """Time integration of all atoms that are not passive, and the thermostats."""
         group = "all" if self._links is None else MOBILE
-        lines = ensemble_commands(self._ensemble, group, self._lammps_seed(), self._system.units, self.atoms.box)
+        seed, unit, planar = self._lammps_seed(), self._system.units, self.dimension == 2
+        lines = ensemble_commands(self._ensemble, group, seed, unit, self.atoms.box, planar)
         damping_time = self._damping_time()
-        if self._ensemble is None and damping_time:
-            kelvin, damp = self._temperature, damping_time / self._system.units.time
-            lines.append(
-                f"fix {THERMOSTAT} {HANDSHAKE} langevin {kelvin!r} {kelvin!r} {damp!r} {self._lammps_seed()} tally yes"
-            )
+        if damping_time:
+            kelvin, damp = self._temperature, damping_time / unit.time
+            lines.append(f"fix {_DAMPER} {HANDSHAKE} langevin {kelvin!r} {kelvin!r} {damp!r} {seed + 1} tally yes")
+        if planar:
+            lines.append("fix plane all setforce NULL NULL 0.0")  # after all other forces
         self._command(lines)
         self._last_redraw = self.step
         self._needs_setup = True
 
     def _motion_removal_commands(self) -> list[str]:
-        lines = ensemble_removal_commands(self._ensemble)
-        if self._ensemble is None and self._damping_time():
-            lines.append(f"unfix {THERMOSTAT}")
-        return lines
+        planar = self.dimension == 2
+        lines = ["unfix plane"] if planar else []
+        if self._damping_time():
+            lines.append(f"unfix {_DAMPER}")
+        return [*lines, *ensemble_removal_commands(self._ensemble, planar)]
 
     def _damping_time(self) -> float:
         """Of the anchors' dampers, s; 0 without them."""
@@ -393,12 +398,11 @@ class LammpsDynamics:
 
     def _thermostat_work(self) -> float:
         """Work of dampers and thermostats on the atoms since the last rebuild, J."""
-        ensemble = self._ensemble
-        tallied = self._damping_time() > 0.0 if ensemble is None else ensemble.thermostat in TALLIED
-        if not tallied:
-            return self._other_work
+        fixes = [_DAMPER] if self._damping_time() else []
+        if self._ensemble is not None and self._ensemble.thermostat in TALLIED:
+            fixes.append(THERMOSTAT)
         # LAMMPS counts the energy that a thermostat takes out.
-        taken = float(self._system.session.lmp.extract_fix(THERMOSTAT, 0, 0))
+        taken = sum(float(self._system.session.lmp.extract_fix(fix, 0, 0)) for fix in fixes)
         return self._other_work - taken * self._system.units.energy
 
     def _lammps_seed(self) -> int:

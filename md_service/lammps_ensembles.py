@@ -13,7 +13,9 @@ THERMOSTAT: Final = "thermostat"
 TALLIED: Final = ("langevin", "nose-hoover", "berendsen")
 
 
-def ensemble_commands(ensemble: Ensemble | None, group: str, seed: int, units: UnitSystem, box: Box) -> list[str]:
+def ensemble_commands(
+    ensemble: Ensemble | None, group: str, seed: int, units: UnitSystem, box: Box, planar: bool
+) -> list[str]:
     """Commands that integrate a group in an ensemble; None and ``none`` are NVE.
 
     An Andersen thermostat is NVE here: `LammpsDynamics` draws the velocities.
@@ -28,6 +30,8 @@ def ensemble_commands(ensemble: Ensemble | None, group: str, seed: int, units: U
     units : UnitSystem
     box : Box
         Its periodic directions follow the pressure.
+    planar : bool
+        Whether atoms move in the plane z = 0 only, so that their temperature has two components.
 
     Raises
     ------
@@ -46,26 +50,34 @@ def ensemble_commands(ensemble: Ensemble | None, group: str, seed: int, units: U
         barostat = " ".join(f"{axis} {target!r} {target!r} {time!r}" for axis in axes)
     if ensemble.thermostat == "nose-hoover":
         style = "npt" if barostat else "nvt"
-        return [f"fix {THERMOSTAT} {group} {style} temp {kelvin!r} {kelvin!r} {damp!r} {barostat}"]
+        lines = [f"fix {THERMOSTAT} {group} {style} temp {kelvin!r} {kelvin!r} {damp!r} {barostat}"]
+        return [*lines, *_planar_temperature(group)] if planar else lines
     lines = [f"fix integrate {group} nve"]
     if ensemble.thermostat == "langevin":
         lines.append(f"fix {THERMOSTAT} {group} langevin {kelvin!r} {kelvin!r} {damp!r} {seed} tally yes")
     if ensemble.thermostat == "berendsen":
         lines.append(f"fix {THERMOSTAT} {group} temp/berendsen {kelvin!r} {kelvin!r} {damp!r}")
+        lines += _planar_temperature(group) if planar else []
     if barostat:
         lines.append(f"fix barostat {group} press/berendsen {barostat}")
     return lines
 
 
-def ensemble_removal_commands(ensemble: Ensemble | None) -> list[str]:
+def ensemble_removal_commands(ensemble: Ensemble | None, planar: bool) -> list[str]:
     """Undo `ensemble_commands`."""
     if ensemble is None:
         return ["unfix integrate"]
-    if ensemble.thermostat == "nose-hoover":
-        return [f"unfix {THERMOSTAT}"]
-    lines = ["unfix integrate"]
+    own_temperature = planar and ensemble.thermostat in ("nose-hoover", "berendsen")
+    lines = [] if ensemble.thermostat == "nose-hoover" else ["unfix integrate"]
     if ensemble.thermostat in TALLIED:
         lines.append(f"unfix {THERMOSTAT}")
-    if ensemble.pressure is not None:
+    if ensemble.pressure is not None and ensemble.thermostat != "nose-hoover":
         lines.append("unfix barostat")
-    return lines
+    return [*lines, "uncompute planar_temperature"] if own_temperature else lines
+
+
+def _planar_temperature(group: str) -> list[str]:
+    return [
+        f"compute planar_temperature {group} temp/partial 1 1 0",
+        f"fix_modify {THERMOSTAT} temp planar_temperature",
+    ]

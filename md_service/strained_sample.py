@@ -23,7 +23,7 @@ MARGIN = 20e-10  # m of room beyond the atoms where the sample ends
 _FORCE_TOLERANCE = 1e-10 * 1.602e-9  # N: 1e-10 eV/Angstrom
 _MOST_ITERATIONS = 20000
 _CHUNK = 700  # steps between two reports
-_STEPS_PER_SAMPLE = 2
+_SAMPLES = 350  # of the stress in a run, at most about; each costs the virial of one step
 
 
 class Progress:
@@ -150,7 +150,7 @@ class StrainedSample:
             ]
         )
         self._run(settling, 0, report)
-        session.commands([f"fix stress all vector {_STEPS_PER_SAMPLE} {columns}"])
+        session.commands([f"fix stress all vector {max(sampling // _SAMPLES, 1)} {columns}"])
         self._run(sampling, settling, report)
         return scale * vector_fix(self.system, "stress", len(self.components))
 

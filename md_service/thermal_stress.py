@@ -54,7 +54,8 @@ def thermal_virial(
     box : Box
         For its periodic directions.
     radius : float
-        Of the weight (1 - r^2/R^2)^2, m; see `averaging_radius`.
+        Of the weight (1 - r^2/R^2)^2, m; see `averaging_radius`. A periodic box should be two of it wide: in a
+        narrower one an atom meets its own images, which the correction for its share does not know.
 
     Returns
     -------

@@ -60,11 +60,10 @@ def test_lennard_jones_of_ase_is_that_of_lammps(tmp_path: Path) -> None:
     assert energies.sum() == pytest.approx(energy, rel=1e-10)
 
 
-def test_emt_spacings_are_those_without_stress(tmp_path: Path) -> None:
-    for material in ASE.materials("emt"):
-        measured = ASE.properties(tmp_path, "emt", material, 0.0, 1, lambda done, total: None)
-        assert ASE.spacing("emt", material) == pytest.approx(measured.lattice_constant, rel=1e-5)
-        assert 0.2 < measured.poisson < 0.45
+def test_emt_spacing_of_copper_is_that_without_stress(tmp_path: Path) -> None:
+    measured = ASE.properties(tmp_path, "emt", "copper", 0.0, 1, lambda done, total: None)
+    assert ASE.spacing("emt", "copper") == pytest.approx(measured.lattice_constant, rel=1e-5)
+    assert 0.2 < measured.poisson < 0.45
 
 
 def test_calculator_of_another_package_is_found_by_its_entry_point(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from md_service.crystals import fcc
+from md_service.crystals import fcc, hexagonal
 from md_service.ensembles import Ensemble
 from md_service.force_fields import force_field
 from md_service.lammps_dynamics import LammpsDynamics
@@ -137,3 +137,24 @@ def test_an_equilibration_that_does_not_settle_says_so(make_sample, monkeypatch)
     assert ended.settled is False
     assert ended.steps == 700
     assert ended.energy_drift > ended.energy_error
+
+
+@pytest.mark.parametrize("thermostat", ["langevin", "nose-hoover", "berendsen", "andersen"])
+def test_a_flat_sheet_of_pairwise_forces_moves_in_its_plane_at_the_temperature(tmp_path, thermostat):
+    profile = force_field("lennard-jones")
+    spacing = profile.spacing("hexagonal", 20.0)
+    atoms = hexagonal(spacing, 16 * spacing, 14 * spacing, periodic=True)
+    dynamics = LammpsDynamics(tmp_path, profile, atoms, temperature=20.0, seed=5)
+    assert dynamics.dimension == 2
+    dynamics.draw_velocities(20.0)
+    dynamics.hold(Ensemble(thermostat, 20.0, 3e-13))
+    dynamics.run(600)
+    kinetic = []
+    for _ in range(100):
+        dynamics.run(20)
+        kinetic.append(kinetic_energy(dynamics))
+    assert (dynamics.position()[:, 2] == 0.0).all()
+    assert (dynamics.velocity()[:, 2] == 0.0).all()
+    dynamics.close()
+    # About 220 atoms of two degrees of freedom scatter by 7 %, in 10 ps some 15 times independently.
+    assert np.mean(kinetic) == pytest.approx(len(atoms) * BOLTZMANN * 20.0, rel=0.06)
