@@ -49,7 +49,7 @@ def _compared(folder: Path, force_field: str, steps: int, window: int, ranks: in
     free = BareSheet(where / "free", force_field, window, anchored=False, ranks=ranks)
     anchored = BareSheet(where / "anchored", force_field, window, ranks=ranks)
     served = ServedSheet(where / "served", force_field, window, ranks=ranks)
-    sheets = {"LAMMPS": free, "LAMMPS with anchors": anchored, "service": served}
+    sheets: dict[str, BareSheet | ServedSheet] = {"LAMMPS": free, "LAMMPS with anchors": anchored, "service": served}
     times = np.array([[sheet.seconds_per_step(steps) for sheet in sheets.values()] for _ in range(ROUNDS)])
     for sheet in sheets.values():
         sheet.close()
@@ -64,7 +64,7 @@ def _compared(folder: Path, force_field: str, steps: int, window: int, ranks: in
 
 
 def j_row(folder: Path) -> BenchmarkRow:
-    """J at every 100th step of an airebo run with a crack: time of the processor for a step, and over that without J."""
+    """J at every 100th step of an airebo run with a crack: processor time of a step, and over that without J."""
     profile = profile_of("airebo")
     atoms = graphene(SIZE, SIZE, spacing=profile.lattice_constant, crack=CrackCut(0.0))
     plane = np.abs(atoms.position[:, :2])

@@ -14,7 +14,7 @@ from protocol import continuum as c
 from protocol.backend import Backend, find
 
 #: Area of an atom of a known material, m2; for estimates before anything is built.
-AREA_PER_ATOM = {"graphene": 2.6e-20}
+AREA_PER_ATOM = {"graphene": 2.6e-20, "hexagonal": 1.1e-19}
 _ANGSTROM = 1e-10
 
 
@@ -132,11 +132,14 @@ def _atoms(scene: Scene) -> list[str]:
     backend = find("atomistic", atomistic.backend)
     area = atomistic.width * atomistic.height
     (low_x, low_y), (high_x, high_y) = overlap[0]
-    count = area / AREA_PER_ATOM.get(atomistic.material, math.nan)
+    count = _atoms_per_layer(scene)
     anchored = count * max(0.0, 1 - (high_x - low_x) * (high_y - low_y) / area)
+    count *= atomistic.layers
+    anchored *= atomistic.layers
     amount = "" if math.isnan(count) else f"about {count:.0f} atoms, {anchored:.0f} of them anchored, "
-    return [
-        f"atomistic    {backend.name}: {atomistic.material} by {atomistic.force_field}, "
+    what = atomistic.material if atomistic.sample is None else atomistic.sample
+    lines = [
+        f"atomistic    {backend.name}: {what} by {atomistic.force_field}, "
         f"{atomistic.width / _ANGSTROM:g} x {atomistic.height / _ANGSTROM:g} angstrom, {atomistic.temperature:g} K, "
         f"{atomistic.ranks} rank(s)",
         f"             {amount}step {atomistic.time_step * 1e15:g} fs, about {_duration(_atomistic_seconds(scene))}",
@@ -144,12 +147,29 @@ def _atoms(scene: Scene) -> list[str]:
         f"{handshake.ivc_size / _ANGSTROM:g} angstrom, weight and stiffness "
         + ("by theory" if handshake.weight is None and handshake.stiffness is None else "by the scene"),
     ]
+    if atomistic.j is not None:
+        sizes = ", ".join(_length(size) for size in atomistic.j.half_sizes)
+        lines.append(f"J            every {atomistic.j.interval} steps on contours of half size {sizes}")
+    if atomistic.fields is not None:
+        grid = atomistic.fields.spacing
+        on = [*atomistic.fields.atoms, *([f"a grid of {_length(grid)}"] if grid is not None else [])]
+        lines.append(f"fields       every {atomistic.fields.interval} steps: {', '.join(on)}")
+    return lines
+
+
+def _atoms_per_layer(scene: Scene) -> float:
+    """Return about how many atoms the sample has, NaN where that is not known before it is built."""
+    atomistic = scene.atomistic
+    assert atomistic is not None
+    if atomistic.sample is not None:
+        return math.nan
+    return atomistic.width * atomistic.height / AREA_PER_ATOM.get(atomistic.material, math.nan)
 
 
 def _atomistic_seconds(scene: Scene) -> float:
     atomistic, handshake = scene.atomistic, scene.handshake
     assert atomistic is not None and handshake is not None
-    atoms = atomistic.width * atomistic.height / AREA_PER_ATOM.get(atomistic.material, math.nan)
+    atoms = _atoms_per_layer(scene) * atomistic.layers
     steps = scene.run.steps * handshake.steps_per_exchange
     steps += round((atomistic.equilibration + atomistic.reference) / atomistic.time_step)
     return atoms * steps * _rate(find("atomistic", atomistic.backend), atomistic.force_field) / atomistic.ranks

@@ -50,8 +50,10 @@ def write_grid(path: Path, grid: Grid, fields: dict[str, FloatArray]) -> None:
         data = group.create_group("PointData")
         for name, values in fields.items():
             label, unit, size = ARRAYS[name]
-            # The format counts z first, x last.
+            # The format counts z first, x last, and has no axis for a single layer.
             ordered = np.swapaxes(values, 0, 2) / size
+            if grid.counts[2] == 1:
+                ordered = ordered[0]
             data.create_dataset(label, data=ordered.astype(np.float32))
             data[label].attrs["unit"] = unit
     temporary.replace(path)

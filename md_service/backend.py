@@ -16,7 +16,12 @@ BACKEND = Backend(
         "airebo": 1.6e-6,
         "airebo-sharp": 1.6e-6,
         "rebo": 1.6e-6,
+        "rebo-sharp": 1.6e-6,
         "lcbop": 1.7e-6,
+        "lennard-jones": 4e-7,
+        "opls-aa": 2e-6,
+        "reaxff": 1.2e-4,
+        "reaxff-cho": 2.4e-5,
     },
     default=True,
 )
@@ -25,18 +30,21 @@ LATTICE = Backend(
     role="atomistic",
     summary="harmonic lattice in numba, for teaching and fast tests",
     factory="md_service.service:make_lattice",
+    seconds_per_unit_step={"harmonic": 1.5e-7, "harmonic-brittle": 1.5e-7},
 )
 OPENMM = Backend(
     name="openmm",
     role="atomistic",
     summary="OpenMM: Lennard-Jones and OPLS-AA",
     factory="md_service.service:make_openmm",
+    seconds_per_unit_step={"lennard-jones": 6e-7, "opls-aa": 1e-5},
 )
 ASE = Backend(
     name="ase",
     role="atomistic",
     summary="any calculator of ASE",
     factory="md_service.service:make_ase",
+    seconds_per_unit_step={"lennard-jones": 4.8e-5, "tersoff": 5e-5},
 )
 
 

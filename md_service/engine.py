@@ -270,13 +270,16 @@ class Engine:
         # The momentum of a sample that is held stays bounded, so reactions and compensating forces are in balance in
         # the long run; what a finite average leaves is noise, and would push the whole body for the whole run.
         mean += (anchors.force.sum(axis=0) - mean.sum(axis=0)) / len(mean)
+        # Every window's share in that remainder is noise that the mean no longer has.
+        share = np.bincount(anchors.ivc, minlength=anchors.n_ivc) / len(mean)
+        balanced = series - share[:, None] * series.sum(axis=1, keepdims=True)
         if self._means.samples:
             self._means.keep_as_reference()
         overall = temperatures.mean(axis=0)
         self.reference = Reference(
             anchor_force=mean,
             ivc_force=anchors.sum_over_ivc(mean),
-            ivc_standard_error=estimate(series, window * self.time_step).standard_error,
+            ivc_standard_error=estimate(balanced, window * self.time_step).standard_error,
             window_standard_deviation=np.std(series, axis=0, ddof=1),
             temperature=float(overall[0]),
             temperature_inner=float(overall[1]),

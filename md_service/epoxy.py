@@ -19,7 +19,7 @@ from md_service.data_file import read_data_file, write_data_file
 from md_service.epoxy_curing import conversion_of, cure
 from md_service.epoxy_monomers import ELEMENT_MASS, Molecule, monomer
 from md_service.epoxy_packing import pack
-from md_service.epoxy_relaxation import ATMOSPHERE, HOT, Schedule, compress, relax
+from md_service.epoxy_relaxation import HOT, Schedule, compress, relax
 from md_service.epoxy_rings import speared_rings
 from md_service.epoxy_typing import elements_of
 from md_service.errors import EngineError
@@ -89,7 +89,7 @@ def build_epoxy(
     atoms = compress(atoms, MELT_DENSITY, HOT, seed, work_dir)
     tell(f"compressed to {atoms.density:.0f} kg/m3")
     atoms = cure(atoms, conversion, seed, work_dir, progress)
-    atoms, density = relax(atoms, temperature, seed, work_dir, ATMOSPHERE, schedule)
+    atoms, density = relax(atoms, temperature, seed, work_dir, schedule)
     tell(f"relaxed to {atoms.density:.0f} kg/m3 at {temperature:g} K")
     speared = speared_rings(atoms)
     if speared:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from md_service.atoms import Atoms
-from md_service.epoxy_relaxation import HOT, STEP, ResinRun
+from md_service.epoxy_relaxation import CONTACT_STYLES, HOT, STEP, ResinRun
 from md_service.epoxy_rings import aromatic_rings, crossings, nearest_image, speared_rings
 from md_service.epoxy_typing import BondGraph, bonds_of, graph_of, retyped
 from md_service.errors import EngineError
@@ -180,7 +180,7 @@ def _within(atoms: Atoms, first: NDArray[np.int64], second: NDArray[np.int64], r
 
 def _pulled_shut(atoms: Atoms, reactions: list[Reaction], seed: int, work_dir: Path) -> Atoms | None:
     """Relax long new bonds; None if one stays open or passes through a ring."""
-    run = ResinRun(work_dir, atoms, HOT, seed, contacts_only=True)
+    run = ResinRun(work_dir, atoms, HOT, seed, CONTACT_STYLES)
     try:
         for factor in _STIFFENING:
             run.soften(_NEW_BOND, factor)
@@ -198,7 +198,7 @@ def _pulled_shut(atoms: Atoms, reactions: list[Reaction], seed: int, work_dir: P
 
 def _moved_on(atoms: Atoms, seed: int, work_dir: Path) -> Atoms:
     """The atoms after some time at constant volume."""
-    run = ResinRun(work_dir, atoms, HOT, seed, contacts_only=True)
+    run = ResinRun(work_dir, atoms, HOT, seed, CONTACT_STYLES)
     try:
         run.hold(round(_MOVING_TIME / STEP), HOT, HOT)
         return run.atoms()

@@ -29,6 +29,9 @@ HYDROGEN_MASS: Final = 4.0  # g/mol, while building
 HOT: Final = 600.0  # K, above the resin's glass transition
 #: While molecules are brought together and bonded, contacts matter and the rest does not.
 CONTACT_STYLES: Final = ("pair_style lj/cut 5.0", "pair_modify mix geometric tail no", *STYLES[2:])
+#: While a resin is hot, forces beyond this matter little; the final density is measured with the full reach.
+ANNEALING_STYLES: Final = ("pair_style lj/cut/coul/dsf 0.25 7.0", *STYLES[1:])
+RELEASE_DENSITY: Final = 1200.0  # kg/m^3, to which an annealed glass is let go
 ATMOSPHERE: Final = 101325.0  # Pa
 _BULK_MODULUS = 3e9  # Pa, of the resin; sets only how fast the barostat acts
 _PIECE = 50  # steps between two samples of the density
@@ -47,12 +50,12 @@ class ResinRun:
         Of the first velocities, K.
     seed : int
         Of velocities and thermostats.
-    contacts_only : bool
-        Leave out charges and the tail of dispersion, for speed.
+    styles : tuple of str
+        LAMMPS styles of the force field: all of it, or a cheaper stand-in.
     """
 
     def __init__(
-        self, work_dir: Path, atoms: Atoms, temperature: float, seed: int, contacts_only: bool = False
+        self, work_dir: Path, atoms: Atoms, temperature: float, seed: int, styles: tuple[str, ...] = STYLES
     ) -> None:
         work_dir.mkdir(parents=True, exist_ok=True)
         self._source = atoms
@@ -67,7 +70,7 @@ class ResinRun:
                 "atom_modify map array",
                 "boundary p p p",
                 f"read_data {data_file}",
-                *(CONTACT_STYLES if contacts_only else STYLES),
+                *styles,
                 *coefficient_commands(atoms),
                 *(f"mass {i} {HYDROGEN_MASS!r}" for i, name in enumerate(atoms.elements, start=1) if name == "H"),
                 "neighbor 2.0 bin",
@@ -94,8 +97,13 @@ class ResinRun:
             ["fix move all nve/limit 0.1", f"fix bath all langevin {temperature!r} {temperature!r} 100.0 {self._seed}"],
         )
 
-    def hold(self, steps: int, start: float, stop: float, pressure: float | None = None) -> NDArray[np.float64]:
-        """Run at a temperature that goes from start to stop, K, at constant volume or at a pressure, Pa.
+    def hold(
+        self, steps: int, start: float, stop: float, pressure: tuple[float, float] | None = None
+    ) -> NDArray[np.float64]:
+        """Run at a temperature, K, and a pressure, Pa, that go from a start to a stop.
+
+        Without a pressure the volume stays. The barostat is slow: a melt that shoots over to a low density takes tens
+        of picoseconds to come back.
 
         Returns
         -------
@@ -104,8 +112,9 @@ class ResinRun:
         """
         fixes = [f"fix move all nvt temp {start!r} {stop!r} 100.0"]
         if pressure is not None:
-            bar, modulus = pressure / REAL.pressure, _BULK_MODULUS / REAL.pressure
-            fixes.append(f"fix press all press/berendsen iso {bar!r} {bar!r} 500.0 modulus {modulus!r}")
+            first, last = (value / REAL.pressure for value in pressure)
+            modulus = _BULK_MODULUS / REAL.pressure
+            fixes.append(f"fix press all press/berendsen iso {first!r} {last!r} 1000.0 modulus {modulus!r}")
         density: list[float] = []
         mass = self._source.atom_mass.sum()
         pieces = max(1, round(steps / _PIECE))
@@ -174,7 +183,7 @@ def compress(atoms: Atoms, density: float, temperature: float, seed: int, work_d
     time : float
         That the compression takes, s.
     """
-    run = ResinRun(work_dir, atoms, temperature, seed, contacts_only=True)
+    run = ResinRun(work_dir, atoms, temperature, seed, CONTACT_STYLES)
     try:
         run.damp(100, temperature)
         run.squeeze(round(time / STEP), density, temperature)
@@ -185,28 +194,32 @@ def compress(atoms: Atoms, density: float, temperature: float, seed: int, work_d
 
 @dataclass(frozen=True)
 class Schedule:
-    """Times of the relaxation, s.
+    """Course of the relaxation: heat and press, cool under pressure, release, hold.
 
     Attributes
     ----------
-    hot, cooling, holding : float
-        At constant volume and `HOT`, going down to the final temperature at the final pressure, staying there.
+    hot, cooling, release, holding : float
+        Times at `HOT` and the annealing pressure, of cooling at that pressure, of stretching the box to
+        `RELEASE_DENSITY` at the final temperature, and of holding the final state, s.
+    pressure : float
+        Of annealing, Pa.
     """
 
-    hot: float = 2e-12
-    cooling: float = 10e-12
-    holding: float = 8e-12
+    hot: float = 4e-12
+    cooling: float = 12e-12
+    release: float = 4e-12
+    holding: float = 6e-12
+    pressure: float = 5e9
 
 
 def relax(
-    atoms: Atoms,
-    temperature: float,
-    seed: int,
-    work_dir: Path,
-    pressure: float = ATMOSPHERE,
-    schedule: Schedule | None = None,
+    atoms: Atoms, temperature: float, seed: int, work_dir: Path, schedule: Schedule | None = None
 ) -> tuple[Atoms, NDArray[np.float64]]:
-    """Anneal a resin with the full force field and let its density settle.
+    """Anneal a resin and let its density settle at atmospheric pressure.
+
+    A resin that is cooled in picoseconds keeps the low density of its melt: its glass transition comes early. Cooling
+    it under pressure makes up for that, as in the compression and release of Larsen et al. (Macromolecules 44, 6944,
+    2011), here in one cycle.
 
     Parameters
     ----------
@@ -216,8 +229,6 @@ def relax(
         Final, K.
     seed : int
     work_dir : Path
-    pressure : float
-        Pa.
     schedule : Schedule, optional
 
     Returns
@@ -228,12 +239,20 @@ def relax(
         Of the holding time, sampled every 50 steps, kg/m^3.
     """
     plan = schedule or Schedule()
-    run = ResinRun(work_dir, atoms, HOT, seed)
+    high = (plan.pressure, plan.pressure)
+    run = ResinRun(work_dir, atoms, HOT, seed, ANNEALING_STYLES)
     try:
-        run.damp(100, HOT)
-        run.hold(round(plan.hot / STEP), HOT, HOT)
-        run.hold(round(plan.cooling / STEP), HOT, temperature, pressure)
-        density = run.hold(round(plan.holding / STEP), temperature, temperature, pressure)
+        run.damp(250, HOT)
+        run.hold(round(plan.hot / STEP), HOT, HOT, high)
+        run.hold(round(plan.cooling / STEP), HOT, temperature, high)
+        # By volume: a barostat that lets such a pressure go shoots over, and a glass does not come back.
+        run.squeeze(round(plan.release / STEP), RELEASE_DENSITY, temperature)
+        atoms = run.atoms()
+    finally:
+        run.close()
+    run = ResinRun(work_dir, atoms, temperature, seed)
+    try:
+        density = run.hold(round(plan.holding / STEP), temperature, temperature, (ATMOSPHERE, ATMOSPHERE))
         run.squeeze(100, float(density[len(density) // 2 :].mean()), temperature)
         run.hold(100, temperature, temperature)
         return run.atoms(), density

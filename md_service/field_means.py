@@ -32,8 +32,8 @@ class FieldMeans:
     ``position`` and ``velocity`` are always those of this moment. All others are means over the window ends since
     `collect` or `reset`; where there are none they are of this moment. ``displacement`` is relative to the sample as
     it was given. ``virial`` and ``energy`` are those of the interatomic forces; ``stress`` is Eq 79: virial and thermal
-    motion about the local mean velocity over the volume of an atom. Tension is positive, the order of components xx, yy,
-    zz, xy, xz, yz.
+    motion about the local mean velocity over the volume of an atom. Tension is positive; components are xx, yy, zz, xy,
+    xz, yz.
 
     Parameters
     ----------

@@ -156,8 +156,8 @@ class ForceField:
         kelvin = sorted(self.lattice[material])
         if not 0.0 <= temperature <= 2.0 * kelvin[-1]:
             raise ValueError(
-                f"temperature is {temperature} K; the lattice of {material} with force field {self.name} is known up to "
-                f"{kelvin[-1]:g} K and used up to twice that"
+                f"temperature is {temperature} K; the lattice of {material} with force field {self.name} is known up "
+                f"to {kelvin[-1]:g} K and used up to twice that"
             )
         length = [self.lattice[material][known] for known in kelvin]
         upper = min(max(bisect_left(kelvin, temperature), 1), len(kelvin) - 1)

@@ -31,7 +31,7 @@ _DAMPING_TIME: Final = 0.1e-12  # s, of the thermostat
 _PRESSURE_TIME: Final = 0.3e-12  # s, of the barostat
 _BAROSTAT_TEMPERATURE: Final = 300.0  # K
 _DRAG: Final = 5.0  # friction of the box times the relaxation time of the barostat
-_SETTLING_TIME: Final = (3e-12, 5e-12)  # s, of a crystal and of any other sample, before and in the mean box
+_SETTLING_TIME: Final = 3e-12  # s, to find the mean box, and again in it
 _POINTS: Final = 50  # of the curve
 _STEPS_PER_SAMPLE: Final = 5
 _BROKEN: Final = 0.2  # of the largest stress: below this the sample has failed
@@ -224,7 +224,7 @@ class _TestingMachine:
         # LAMMPS' pressure refers to the whole box, the stress of a sheet to its thickness.
         height = 1.0 if atoms.thickness is None else self._atoms.box.edges[2, 2] / atoms.thickness
         self._scale = -self._system.units.pressure * height
-        steps = round(_SETTLING_TIME[atoms.spacing is None] / time_step)
+        steps = round(_SETTLING_TIME / time_step)
         self.settling = steps - steps % (2 * _STEPS_PER_SAMPLE)
         self._settled: tuple[NDArray[np.float64], NDArray[np.float64], Box] | None = None
 

@@ -42,7 +42,9 @@ FIELD_OF: Final[dict[str, dict[str, str]]] = {
         "crack": "sample.crack", "crack.tip_x": "sample.crack.tip_x", "crack.y": "sample.crack.y",
     },
     "register": {"position": "anchor_position", "ivc": "anchor_ivc", "kind": "anchor_kind"},
-    "equilibrate": {"window": "window_steps", "damping_time": "ensemble.damping_time"},
+    "equilibrate": {
+        "window": "window_steps", "damping_time": "ensemble.damping_time", "pressure": "ensemble.pressure",
+    },
     "advance": {"window": "steps"},
     "j_integral": {"half_size": "half_sizes", "contour": "half_sizes", "domain": "half_sizes", "tip_x": "tip"},
 }  # fmt: skip

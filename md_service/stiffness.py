@@ -97,7 +97,7 @@ def crystal_sampling(time_step: float) -> Sampling:
     )
 
 
-GLASS: Final = Sampling(strain=1e-2, settling=2e-12, sampling=4e-12, replicas=4, damping_time=0.1e-12)
+GLASS: Final = Sampling(strain=1e-2, settling=1e-12, sampling=2e-12, replicas=3, damping_time=0.05e-12)
 
 
 @dataclass(frozen=True)

@@ -29,9 +29,9 @@ TABLE: Final = {
     "rebo": (300.0, 20.0, {0.25: 1.0, 1.0: 1.0, 2.0: 1.0}),
     "lcbop": (300.0, 20.0, {0.25: 1.0, 1.0: 1.0, 2.0: 1.0}),
     "opls-aa": (300.0, 5.0, {0.25: 1.0, 0.5: 1.0, 1.0: 1.0, 2.0: 1.0}),
-    "lennard-jones": (40.0, 100.0, {2.5: 1.0, 5.0: 1.0, 10.0: 1.0}),
-    "eam-copper": (300.0, 40.0, {1.0: 1.0, 2.0: 1.0, 5.0: 1.0}),
-    "eam-aluminium": (300.0, 40.0, {1.0: 1.0, 2.0: 1.0, 5.0: 1.0}),
+    "lennard-jones": (40.0, 40.0, {2.5: 1.0, 5.0: 1.0, 10.0: 1.0}),
+    "eam-copper": (300.0, 20.0, {1.0: 1.0, 2.0: 1.0, 5.0: 1.0}),
+    "eam-aluminium": (300.0, 20.0, {1.0: 1.0, 2.0: 1.0, 5.0: 1.0}),
 }
 _DAMPING_PART: Final = 0.05  # damping time of the thermostat before the run, in parts of that run
 _INTERVAL: Final = 5e-15  # s between two samples of the energy

