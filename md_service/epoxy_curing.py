@@ -14,11 +14,10 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from md_service.atoms import Atoms
 from md_service.epoxy_relaxation import CONTACT_STYLES, HOT, STEP, ResinRun
-from md_service.epoxy_rings import aromatic_rings, crossings, nearest_image, speared_rings
+from md_service.epoxy_rings import aromatic_rings, crossings, nearest_image, periodic_tree, speared_rings
 from md_service.epoxy_typing import BondGraph, bonds_of, graph_of, retyped
 from md_service.errors import EngineError
 
@@ -169,9 +168,7 @@ def _partners(atoms: Atoms, reach: float, most: int, refused: set[tuple[int, int
 def _within(atoms: Atoms, first: NDArray[np.int64], second: NDArray[np.int64], reach: float) -> NDArray[np.int64]:
     """Pairs (m, 2) of rows closer than a distance, the closest first."""
     box = atoms.box
-    inside = box.wrapped(atoms.position)[0] - box.low
-    edges = box.high - box.low
-    trees = [cKDTree(np.minimum(inside[rows], np.nextafter(edges, 0.0)), boxsize=edges) for rows in (first, second)]
+    trees = [periodic_tree(atoms.position[rows], box) for rows in (first, second)]
     found = [(a, b) for a, row in enumerate(trees[0].query_ball_tree(trees[1], reach)) for b in row]
     pairs = np.array([(first[a], second[b]) for a, b in found], dtype=np.int64).reshape(-1, 2)
     apart = nearest_image(atoms.position[pairs[:, 0]] - atoms.position[pairs[:, 1]], box)
@@ -185,15 +182,15 @@ def _pulled_shut(atoms: Atoms, reactions: list[Reaction], seed: int, work_dir: P
         for factor in _STIFFENING:
             run.soften(_NEW_BOND, factor)
             run.damp(_PULL_STEPS, HOT)
-        run.hold(round(_MOVING_TIME / STEP), HOT, HOT)
         shut = run.atoms()
+        ends = np.array([(reaction.nitrogen, reaction.carbon) for reaction in reactions])
+        length = np.linalg.norm(nearest_image(shut.position[ends[:, 0]] - shut.position[ends[:, 1]], shut.box), axis=1)
+        if length.max() > _BOND_LENGTH + _LONGEST or speared_rings(shut):
+            return None
+        run.hold(round(_MOVING_TIME / STEP), HOT, HOT)
+        return run.atoms()
     finally:
         run.close()
-    ends = np.array([(reaction.nitrogen, reaction.carbon) for reaction in reactions])
-    length = np.linalg.norm(nearest_image(shut.position[ends[:, 0]] - shut.position[ends[:, 1]], shut.box), axis=1)
-    if length.max() > _BOND_LENGTH + _LONGEST or speared_rings(shut):
-        return None
-    return shut
 
 
 def _moved_on(atoms: Atoms, seed: int, work_dir: Path) -> Atoms:

@@ -103,16 +103,19 @@ def _near(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Pairs of segments and rings that are close enough to meet."""
     reach = 0.5 * length + _REACH
-    trees = [cKDTree(box.wrapped(points)[0] - box.low, boxsize=_tree_box(box)) for points in (middle, centre)]
-    pairs = trees[0].query_ball_tree(trees[1], reach)
+    pairs = periodic_tree(middle, box).query_ball_tree(periodic_tree(centre, box), reach)
     segment = np.repeat(np.arange(len(middle)), [len(row) for row in pairs])
     ring = np.array([r for row in pairs for r in row], dtype=np.int64)
     return segment.astype(np.int64), ring
 
 
-def _tree_box(box: Box) -> NDArray[np.float64]:
-    """Periods as the tree wants them: zero where there is none."""
-    return np.where(box.periodic, box.high - box.low, 0.0)
+def periodic_tree(points: NDArray[np.float64], box: Box) -> cKDTree:
+    """Search tree of points (n, 3), m, that sees the nearest images of a box that is not sheared."""
+    period = np.where(box.periodic, box.high - box.low, 0.0)
+    inside = box.wrapped(points)[0] - box.low
+    # Rounding may put a point on the far face, which the tree does not take.
+    inside = np.where(np.array(box.periodic) & (inside >= period), 0.0, inside)
+    return cKDTree(np.where(box.periodic, np.maximum(inside, 0.0), inside), boxsize=period)
 
 
 def _through_triangle(

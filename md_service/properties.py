@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from md_service.atoms import Atoms
-from md_service.constituent_file import KINDS, Constituent, Figure, Strength
 from md_service.elastic_tensor import SHEET, SOLID, VOIGT_LABELS, engineering_constants, jackknife
 from md_service.force_fields import ForceField
 from md_service.force_fields import force_field as profile_of
 from md_service.mechanical_tests import StressStrain, uniaxial_tension
 from md_service.stiffness import Stiffness, static_stiffness, thermal_stiffness
 from md_service.thermal_properties import Expansion, thermal_expansion
+from protocol.constituent import KINDS, Constituent, Figure, Strength
 
 WHAT: Final = ("stiffness", "expansion", "tension")
 _GIGA: Final = 1e9

@@ -99,9 +99,9 @@ def properties(
     """
     from tempfile import TemporaryDirectory
 
-    from md_service.constituent_file import write_constituent
     from md_service.errors import EngineError
     from md_service.properties import Tension, constituent, measure_properties
+    from protocol.constituent import write_constituent
 
     if out is not None and not out.parent.is_dir():
         raise click.BadParameter(f"there is no folder {str(out.parent)!r}", param_hint="--out")

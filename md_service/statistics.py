@@ -168,33 +168,6 @@ def windows_needed(standard_error: ArrayLike, windows: int, target: float) -> in
     return max(MINIMUM_WINDOWS, int(np.ceil(windows * (largest / target) ** 2)))
 
 
-def block_standard_error(series: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Standard error of the mean as in `estimate`; of fewer than eight entries as if they were independent.
-
-    Parameters
-    ----------
-    series : ndarray, shape (n, ...)
-        Entries in order of time.
-
-    Returns
-    -------
-    ndarray, shape (...)
-        Standard error in the unit of the series.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than two entries or one is not finite.
-    """
-    entries = _checked(series, 2)
-    n = len(entries)
-    if n < MINIMUM_WINDOWS:
-        return np.asarray(np.std(entries, axis=0, ddof=1) / np.sqrt(n))
-    flat = entries.reshape(n, -1)
-    variance_of_mean, _ = _variance_of_mean(flat - flat.mean(axis=0))
-    return np.asarray(np.sqrt(variance_of_mean).reshape(entries.shape[1:]))
-
-
 def scatter_about_line(windows: NDArray[np.float64]) -> NDArray[np.float64]:
     """Standard deviation of window means about a straight line in time, per component.
 

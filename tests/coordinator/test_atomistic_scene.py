@@ -87,9 +87,9 @@ def test_mistakes_are_named_with_what_is_allowed() -> None:
     assert "at most 37.5 angstrom" in said("atomistic.j.interval=1", 'atomistic.j.half_sizes=["40 angstrom"]')
     assert "multiple of atomistic.j.interval, 10" in said(*J, "atomistic.fields.interval=15",
                                                           "atomistic.fields.spacing=5 angstrom")  # fmt: skip
-    assert "must have spacing" in said("atomistic.fields.interval=5")
+    assert "must have spacing" in said("atomistic.fields.interval=10")
     assert "must be left out without spacing" in said(
-        "atomistic.fields.interval=5", "atomistic.fields.radius=5 angstrom", 'atomistic.fields.atoms=["stress"]'
+        "atomistic.fields.interval=10", "atomistic.fields.radius=5 angstrom", 'atomistic.fields.atoms=["stress"]'
     )
     assert "must be left out without [crack]" in said(*J, name="graphene_patch")
     assert "must be one of 'zigzag' or 'armchair'" in said("atomistic.orientation=diagonal")
@@ -215,7 +215,9 @@ def test_j_and_fields_are_taken_when_they_are_due() -> None:
 def test_without_j_the_average_of_fields_begins_anew_after_each_frame() -> None:
     service = Service([])
     client: Any = service
-    taken = AtomMeasurements(scene_of(*FIELDS), client, np.array([[-50.0, -50, 0], [50, 50, 0]]) * A)
+    taken = AtomMeasurements(
+        scene_of(*FIELDS, name="graphene_patch"), client, np.array([[-50.0, -50, 0], [50, 50, 0]]) * A
+    )
     for step in (10, 20, 40):
         taken.take(step, {})
     assert service.asked == ["grid_fields", "collect_fields"] * 2

@@ -14,7 +14,7 @@ from md_service.elastic_constants import isotropic_properties, measure_graphene,
 from md_service.elastic_tensor import VOIGT, jackknife
 from md_service.force_fields import FORCE_FIELDS
 from md_service.graphene import graphene
-from md_service.statistics import block_standard_error
+from md_service.statistics import estimate
 from md_service.stiffness import Sampling, static_stiffness, thermal_stiffness
 from md_service.strained_sample import deformed, vector_fix
 from md_service.thermal_properties import thermal_expansion
@@ -157,7 +157,7 @@ def test_copper_at_a_temperature_is_cubic_softer_and_expands_as_at_constant_pres
         )
         volume = vector_fix(system, "size", 1)
         stretch.append(volume.mean() / 3)
-        spread.append(block_standard_error(volume)[0] / 3)
+        spread.append(estimate(volume, 1.0).standard_error[0] / 3)
     system.session.close()
     middle = 3 * np.mean(stretch)
     span = expansion.temperatures[1] - expansion.temperatures[0]

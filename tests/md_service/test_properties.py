@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from md_service.constituent_file import read_constituent
 from md_service.crystals import fcc
 from md_service.data_file import write_data_file
 from md_service.force_fields import FORCE_FIELDS
 from md_service.graphene import graphene
 from md_service.properties import constituent, default_kind, measure_properties, rows, tensor_block
 from md_service.properties_command import properties
+from protocol.constituent import read_constituent
 
 COPPER = fcc("Cu", FORCE_FIELDS["eam-copper"].spacing("copper", 0.0), (2, 2, 2))
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from md_service.constituent_file import KINDS, Constituent, Figure, Strength, read_constituent, write_constituent
+from protocol.constituent import KINDS, Constituent, Figure, Strength, read_constituent, write_constituent
 
 EPOXY = {
     "name": "epoxy",
@@ -93,9 +93,9 @@ def test_bad_files_name_the_field(tmp_path, old, new, message):
 
 def test_the_example_of_the_documentation_is_one(tmp_path):
     """The file in the module's docstring, which the user guide repeats, is read."""
-    from md_service import constituent_file
+    from protocol import constituent
 
-    text = constituent_file.__doc__.split("::\n", 1)[1].split("\nAxis 1", 1)[0]
+    text = constituent.__doc__.split("::\n", 1)[1].split("\nAxis 1", 1)[0]
     lines = [line[4:] for line in text.splitlines()]
     path = tmp_path / "example.toml"
     path.write_text("\n".join(lines))

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from md_service.constituent_file import Constituent, Figure
 from md_service.elastic_tensor import VOIGT, engineering_constants, is_stable, isotropic_average
 from md_service.properties import mean_about_axis_1
+from protocol.constituent import Constituent, Figure
 
 
 def isotropic(young, poisson):

@@ -3,7 +3,6 @@ import pytest
 from scipy.signal import lfilter
 
 from md_service.statistics import (
-    block_standard_error,
     estimate,
     scatter_about_line,
     settled,
@@ -25,17 +24,14 @@ def exact_standard_error(c, n):
     return np.sqrt((1.0 + 2.0 * np.sum((1.0 - lag / n) * c**lag)) / n)
 
 
-def test_block_standard_error_of_a_correlated_series_against_the_closed_form():
+def test_standard_error_of_a_correlated_series_against_the_closed_form():
     c, n = 0.8, 4096
     series = correlated(c, n, 50)
     expected = exact_standard_error(c, n)
     naive = np.std(series, axis=0).mean() / np.sqrt(n)
-    measured = block_standard_error(series)
+    measured = estimate(series, 1.0).standard_error
     assert naive < 0.4 * expected
     assert measured.mean() == pytest.approx(expected, rel=0.1)
-    np.testing.assert_array_equal(measured, estimate(series, 1.0).standard_error)
-    # Seven entries are taken as independent.
-    assert block_standard_error(series[:7])[0] == pytest.approx(np.std(series[:7, 0], ddof=1) / np.sqrt(7.0))
 
 
 @pytest.mark.parametrize(
@@ -184,7 +180,6 @@ def test_scatter_about_line_does_not_see_a_steady_load():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: block_standard_error(np.zeros((1, 3))), "series has 1"),
         (lambda: scatter_about_line(np.zeros((2, 3))), "windows has 2"),
         (lambda: estimate(np.zeros((7, 3)), 1.0), "series has 7 entries; at least 8"),
         (lambda: estimate(3.0, 1.0), "series has 0 entries"),

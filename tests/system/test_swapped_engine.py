@@ -16,7 +16,7 @@ from md_service.sample_source import build_sample
 ROOT = Path(__file__).parents[2]
 PATCH = ROOT / "scenes" / "lattice_patch.toml"
 CLOCK = {"seconds_continuum", "seconds_atomistic", "seconds_exchange"}
-pytestmark = pytest.mark.timeout(300)
+pytestmark = pytest.mark.timeout(600)
 
 #: A cracked lattice in a small body that is pulled apart.
 CRACKED = """\
