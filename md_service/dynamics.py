@@ -39,6 +39,8 @@ class Window:
         Work on the atoms since the last `adopt`, `minimise` or `restore` of everything that is not a conservative
         force of spring or atoms: friction and noise of thermostats and dampers, dampers' carrying term, and what
         passive atoms do as they move, J.
+    tallied : bool
+        Whether the window's end is one at which `virial_and_energy` is at hand, if `tally` asked for it.
     """
 
     mean_position: NDArray[np.float64]
@@ -49,6 +51,7 @@ class Window:
     kinetic_inner: float
     potential_energy: float
     thermostat_work: float
+    tallied: bool = True
 
 
 class Dynamics(Protocol):
@@ -124,7 +127,10 @@ class Dynamics(Protocol):
         """The box now."""
 
     def tally(self, active: bool) -> None:
-        """Whether `virial_and_energy` will be asked for at the ends of windows, so that a code can prepare for it."""
+        """Whether `virial_and_energy` will be asked for at the ends of windows, so that a code can prepare for it.
+
+        A code may have them at some windows' ends only, and says so by `Window.tallied`.
+        """
 
     def virial_and_energy(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Virial of each atom now, J, shape (n, 6) as xx, yy, zz, xy, xz, yz, tension positive (Eq 79 without the

@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from md_service.anchors import SURFACE, Anchors, checked_anchors, finite_array
-from md_service.bonds import BondReport, Bonds
+from md_service.bonds import BondReport
 from md_service.dynamics import Dynamics, Window
 from md_service.ensembles import Ensemble
 from md_service.errors import EngineError
 from md_service.field_means import FIELD_NAMES, FieldMeans
 from md_service.force_fields import ForceField
+from md_service.fracture_guard import FractureGuard
 from md_service.ranks import OneRank, Ranks
 from md_service.results import Advance, Equilibration, Reference
 from md_service.settling import Settler
@@ -68,7 +69,7 @@ class Engine:
         self.temperature = float(temperature)
         self.reference: Reference | None = None
         self._ranks: Ranks = OneRank() if ranks is None else ranks
-        self._bonds = Bonds(dynamics.atoms, force_field)
+        self._guard = FractureGuard(force_field, dynamics.atoms)
         self._means = FieldMeans(dynamics)
         self._anchor_work = 0.0
         self._thermostat_work = 0.0
@@ -273,8 +274,7 @@ class Engine:
         # Every window's share in that remainder is noise that the mean no longer has.
         share = np.bincount(anchors.ivc, minlength=anchors.n_ivc) / len(mean)
         balanced = series - share[:, None] * series.sum(axis=1, keepdims=True)
-        if self._means.samples:
-            self._means.keep_as_reference()
+        self._means.keep_as_reference()
         overall = temperatures.mean(axis=0)
         self.reference = Reference(
             anchor_force=mean,
@@ -443,7 +443,7 @@ class Engine:
     def broken_bonds(self) -> BondReport:
         """Broken bonds, the crack tip, and bonds that stick at the potential's cut-off."""
         self._check_alive()
-        return self._bonds.report(self.dynamics.position())
+        return self._guard.report(self.dynamics.position())
 
     def collect_fields(self, active: bool) -> None:
         """Start or stop collecting mean positions, virials and energies at the ends of windows.
@@ -474,6 +474,11 @@ class Engine:
             if name not in FIELD_NAMES:
                 raise ValueError(f"names holds {name!r}; known fields are {', '.join(FIELD_NAMES)}")
         return self._means.fields(wanted)
+
+    @property
+    def samples(self) -> int:
+        """Samples in the means of `fields`; not every window need have one."""
+        return self._means.samples
 
     def reference_fields(self) -> dict[str, NDArray[np.float64]]:
         """Mean position (m), virial and energy (J) of each atom at rest, against which J is taken.

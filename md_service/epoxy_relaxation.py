@@ -31,7 +31,6 @@ HOT: Final = 600.0  # K, above the resin's glass transition
 CONTACT_STYLES: Final = ("pair_style lj/cut 5.0", "pair_modify mix geometric tail no", *STYLES[2:])
 #: While a resin is hot, forces beyond this matter little; the final density is measured with the full reach.
 ANNEALING_STYLES: Final = ("pair_style lj/cut/coul/dsf 0.25 7.0", *STYLES[1:])
-RELEASE_DENSITY: Final = 1200.0  # kg/m^3, to which an annealed glass is let go
 ATMOSPHERE: Final = 101325.0  # Pa
 _BULK_MODULUS = 3e9  # Pa, of the resin; sets only how fast the barostat acts
 _PIECE = 50  # steps between two samples of the density
@@ -97,13 +96,10 @@ class ResinRun:
             ["fix move all nve/limit 0.1", f"fix bath all langevin {temperature!r} {temperature!r} 100.0 {self._seed}"],
         )
 
-    def hold(
-        self, steps: int, start: float, stop: float, pressure: tuple[float, float] | None = None
-    ) -> NDArray[np.float64]:
-        """Run at a temperature, K, and a pressure, Pa, that go from a start to a stop.
+    def hold(self, steps: int, start: float, stop: float, pressure: float | None = None) -> NDArray[np.float64]:
+        """Run at a temperature that goes from start to stop, K, at constant volume or at a pressure, Pa.
 
-        Without a pressure the volume stays. The barostat is slow: a melt that shoots over to a low density takes tens
-        of picoseconds to come back.
+        The barostat is slow: a melt that shoots over to a low density takes tens of picoseconds to come back.
 
         Returns
         -------
@@ -112,9 +108,8 @@ class ResinRun:
         """
         fixes = [f"fix move all nvt temp {start!r} {stop!r} 100.0"]
         if pressure is not None:
-            first, last = (value / REAL.pressure for value in pressure)
-            modulus = _BULK_MODULUS / REAL.pressure
-            fixes.append(f"fix press all press/berendsen iso {first!r} {last!r} 1000.0 modulus {modulus!r}")
+            bar, modulus = pressure / REAL.pressure, _BULK_MODULUS / REAL.pressure
+            fixes.append(f"fix press all press/berendsen iso {bar!r} {bar!r} 1000.0 modulus {modulus!r}")
         density: list[float] = []
         mass = self._source.atom_mass.sum()
         pieces = max(1, round(steps / _PIECE))
@@ -194,37 +189,32 @@ def compress(atoms: Atoms, density: float, temperature: float, seed: int, work_d
 
 @dataclass(frozen=True)
 class Schedule:
-    """Course of the relaxation: heat and press, cool under pressure, release, hold.
+    """Times of the relaxation, s.
 
     Attributes
     ----------
-    hot, cooling, release, holding : float
-        Times at `HOT` and the annealing pressure, of cooling at that pressure, of stretching the box to
-        `RELEASE_DENSITY` at the final temperature, and of holding the final state, s.
-    pressure : float
-        Of annealing, Pa.
+    hot, cooling : float
+        At `HOT` and from there to the final temperature, at the density of curing.
+    holding : float
+        At the final temperature and atmospheric pressure.
     """
 
     hot: float = 4e-12
-    cooling: float = 12e-12
-    release: float = 4e-12
-    holding: float = 6e-12
-    pressure: float = 5e9
+    cooling: float = 16e-12
+    holding: float = 8e-12
 
 
 def relax(
     atoms: Atoms, temperature: float, seed: int, work_dir: Path, schedule: Schedule | None = None
 ) -> tuple[Atoms, NDArray[np.float64]]:
-    """Anneal a resin and let its density settle at atmospheric pressure.
+    """Anneal a resin at the density it has, then let the density settle at atmospheric pressure.
 
-    A resin that is cooled in picoseconds keeps the low density of its melt: its glass transition comes early. Cooling
-    it under pressure makes up for that, as in the compression and release of Larsen et al. (Macromolecules 44, 6944,
-    2011), here in one cycle.
+    Annealing at constant volume keeps the melt from expanding: on the way back from a low density it would lag.
 
     Parameters
     ----------
     atoms : Atoms
-        At about the right density, without contacts closer than bonds.
+        Without contacts closer than bonds.
     temperature : float
         Final, K.
     seed : int
@@ -239,20 +229,17 @@ def relax(
         Of the holding time, sampled every 50 steps, kg/m^3.
     """
     plan = schedule or Schedule()
-    high = (plan.pressure, plan.pressure)
     run = ResinRun(work_dir, atoms, HOT, seed, ANNEALING_STYLES)
     try:
         run.damp(250, HOT)
-        run.hold(round(plan.hot / STEP), HOT, HOT, high)
-        run.hold(round(plan.cooling / STEP), HOT, temperature, high)
-        # By volume: a barostat that lets such a pressure go shoots over, and a glass does not come back.
-        run.squeeze(round(plan.release / STEP), RELEASE_DENSITY, temperature)
+        run.hold(round(plan.hot / STEP), HOT, HOT)
+        run.hold(round(plan.cooling / STEP), HOT, temperature)
         atoms = run.atoms()
     finally:
         run.close()
     run = ResinRun(work_dir, atoms, temperature, seed)
     try:
-        density = run.hold(round(plan.holding / STEP), temperature, temperature, (ATMOSPHERE, ATMOSPHERE))
+        density = run.hold(round(plan.holding / STEP), temperature, temperature, ATMOSPHERE)
         run.squeeze(100, float(density[len(density) // 2 :].mean()), temperature)
         run.hold(100, temperature, temperature)
         return run.atoms(), density

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 #: Blocks at most; then neighbours are merged, so there are at least half as many.
-MOST_BLOCKS: Final = 16
+MOST_BLOCKS: Final = 8
 
 
 class FieldBlocks:

@@ -64,13 +64,21 @@ class FieldMeans:
         self.samples = 0
 
     def add(self, window: Window) -> None:
-        """Take a sample at the end of a window, if fields are collected."""
-        if self._active:
+        """Take a sample at the end of a window, if fields are collected and the code has tallied them."""
+        if self._active and window.tallied:
             self._sum += self._sample()
             self.samples += 1
 
     def keep_as_reference(self) -> None:
-        """Keep the means so far as those at rest and start anew."""
+        """Keep the means so far as those at rest and start anew, if fields are collected.
+
+        Where no window was long enough for a sample, one is taken now.
+        """
+        if not self._active:
+            return
+        if self.samples == 0:
+            self._sum += self._sample()
+            self.samples = 1
         mean = self._sum / self.samples
         self.reference = np.ascontiguousarray(np.hstack([mean[:, :3], mean[:, 6:13]]))
         self.reset()

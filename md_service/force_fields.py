@@ -70,7 +70,7 @@ class ForceField:
     pairwise : bool
         Whether forces act between pairs alone; then a flat sheet has no stiffness across, and moves in its plane.
     lattice : dict of str to dict of float to float
-        Nearest-neighbour distance, m, of each material at 0 K and at least one temperature above, K.
+        Nearest-neighbour distance, m, of each material by temperature, K; the first is 0 K.
     lattice_error : dict of str to dict of float to float
         Standard errors of these, m.
     switching_start, switching_end : float, optional
@@ -138,7 +138,7 @@ class ForceField:
             One of `materials`.
         temperature : float
             K; between the temperatures of the table the distance is interpolated, and up to twice the highest one
-            it follows the line of the last two.
+            it follows the line of the last two. Where only 0 K is known, only 0 K is allowed.
 
         Returns
         -------
@@ -159,6 +159,8 @@ class ForceField:
                 f"temperature is {temperature} K; the lattice of {material} with force field {self.name} is known up "
                 f"to {kelvin[-1]:g} K and used up to twice that"
             )
+        if temperature in self.lattice[material]:
+            return self.lattice[material][temperature]
         length = [self.lattice[material][known] for known in kelvin]
         upper = min(max(bisect_left(kelvin, temperature), 1), len(kelvin) - 1)
         slope = (length[upper] - length[upper - 1]) / (kelvin[upper] - kelvin[upper - 1])

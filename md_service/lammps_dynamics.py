@@ -21,6 +21,7 @@ from md_service.lammps_ensembles import TALLIED, THERMOSTAT, ensemble_commands, 
 from md_service.ranks import Ranks
 
 _DAMPER: Final = "anchor_damper"  # fix
+_TALLY_INTERVAL: Final = 50  # steps at least between two tallies of virials
 _MINIMISER_TOLERANCE: Final = 1.6e-17  # N, norm of all forces
 _ANCHOR_ARRAYS: Final = ("atom_id", "position", "velocity", "stiffness", "ivc", "damping", "kind", "force", "moving")
 _SAMPLE: Final = "c_atom_energy " + " ".join(f"c_atom_stress[{column}]" for column in range(1, 7))
@@ -90,6 +91,7 @@ class LammpsDynamics:
         self._sample_step = -1  # step at whose end the virial was tallied
         self._window = 0  # M of the averaging fixes that LAMMPS holds, 0 without them
         self._tallied = False  # whether they tally the virial too
+        self._tally_every = 0  # steps between two tallies
         self._needs_setup = True
         self._last_redraw = 0
         self._other_work = 0.0  # J, of dampers' carrying term, passive atoms and redrawn velocities
@@ -150,7 +152,7 @@ class LammpsDynamics:
         if self._end_step != self.step or before is None:
             before = self._system.position()[anchors.atom_id]
         self._run(window)
-        if self._tally_wanted:
+        if self._tallied and self._system.session.lmp.extract_global("ntimestep") % self._tally_every == 0:
             self._sample_step = self.step
         # One reduction for everything: means and present positions of the anchored atoms, energies by group.
         n_anchors = len(anchors.atom_id)
@@ -180,6 +182,7 @@ class LammpsDynamics:
             kinetic_inner=float(packed[-3]),
             potential_energy=self._system.potential_energy(),
             thermostat_work=self._thermostat_work(),
+            tallied=self._sample_step == self.step,
         )
 
     def minimise(self, iterations: int) -> None:
@@ -372,7 +375,8 @@ class LammpsDynamics:
         self._command(["reset_timestep 0", *links.averaging_commands(window)])
         links.write()
         if self._tally_wanted:
-            self._command(self._tally_commands(window))
+            self._tally_every = -(-_TALLY_INTERVAL // window) * window
+            self._command(self._tally_commands(self._tally_every))
         self._window = window
         self._tallied = self._tally_wanted
         self._needs_setup = True
@@ -385,12 +389,12 @@ class LammpsDynamics:
             self._window = 0
             self._needs_setup = True
 
-    def _tally_commands(self, window: int) -> list[str]:
-        # The virial per atom is tallied in the last step of a window only, so it costs little.
+    def _tally_commands(self, every: int) -> list[str]:
+        # The virial per atom is tallied in every so many steps only, so it costs little.
         return [
             "compute atom_stress all stress/atom NULL virial",
             "compute atom_energy all pe/atom",
-            f"fix window_sample all ave/atom {window} 1 {window} {_SAMPLE}",
+            f"fix window_sample all ave/atom {every} 1 {every} {_SAMPLE}",
         ]
 
     def _tally_removal_commands(self) -> list[str]:

@@ -104,6 +104,11 @@ class ParallelEngine:
         """The sample."""
         return self._engine.atoms
 
+    @property
+    def samples(self) -> int:
+        """As `Engine.samples`."""
+        return self._engine.samples
+
     def reference_fields(self) -> dict[str, NDArray[np.float64]]:
         """As `Engine.reference_fields`; every rank holds them."""
         return self._engine.reference_fields()

@@ -13,16 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from md_service.atoms import Atoms, CrackCut
-from md_service.bonds import Bonds
 from md_service.engine import Engine
 from md_service.engines import LAMMPS, EngineFactory, LammpsFactory
 from md_service.ensembles import Ensemble
 from md_service.errors import EngineError
-from md_service.field_blocks import FieldBlocks
 from md_service.field_means import FIELD_NAMES
 from md_service.force_fields import ForceField, custom_force_field
 from md_service.grid_fields import GRID_FIELDS, NEEDED, grid_fields
-from md_service.j_meter import AtomFields, JMeter
+from md_service.j_record import J_FIELDS, JRecord
 from md_service.parallel import ParallelEngine, follow
 from md_service.ranks import MpiRanks
 from md_service.sample_source import FLAT, build_sample, sample_from_bytes, shipped_samples
@@ -50,14 +48,9 @@ FIELD_OF: Final[dict[str, dict[str, str]]] = {
 }  # fmt: skip
 _COMPONENTS: Final = ("xx", "yy", "zz", "xy", "xz", "yz")
 _COUNTERS: Final = "engine_counters"  # array of a state whose first entry is the step
-#: Columns of what is kept in blocks for J, and their names.
-_J_FIELDS: Final = ("mean_position", "virial", "energy")
-_COLUMNS: Final = 10
-_BLOCKS: Final = "j_"  # before the names of the service's own arrays in a state
+_J: Final = "j_"  # before the names of the service's own arrays in a state
 _COLLECTED: Final = "engine_collected_samples"  # number of samples, and whether fields are collected
 
-#: Blocks from which a standard error of J can be told.
-FEWEST_BLOCKS: Final = 4
 
 AnyEngine = Engine | ParallelEngine
 
@@ -89,10 +82,9 @@ class AtomisticService(Service):
         self._temperature = 0.0
         self._damped = False
         self._collecting = False
-        self._samples = 0
-        self._bonds: Bonds | None = None
-        self._blocks = FieldBlocks((0, _COLUMNS))
-        self._meter: tuple[tuple[float, ...], JMeter] | None = None
+        self._advanced = False  # whether windows were collected since the means began
+        self._own_profile: ForceField | None = None
+        self._j: JRecord | None = None
 
     def capabilities(self) -> Capabilities:
         """Return what this engine can do."""
@@ -152,9 +144,9 @@ class AtomisticService(Service):
         if engine is not self._engine:
             self.close()
         self._engine = engine
-        self._bonds = Bonds(atoms, profile)
         self._temperature, self._collecting, self._damped = request.temperature, False, False
-        self._begin_average()
+        self._own_profile = profile
+        self._j = JRecord(atoms, profile, request.temperature)
         trap = profile.cutoff_trap if profile is not None and atoms.crack is not None else ""
         return messages.AtomisticConfigured(
             atom_id=np.arange(len(atoms), dtype=np.int64),
@@ -261,7 +253,8 @@ class AtomisticService(Service):
         reference = self._call(
             "equilibrate", engine.measure_reference, request.windows, request.window_steps, progress=averaging
         )
-        self._begin_average()
+        self._begin()
+        self._record().forget_reference()
         return messages.Equilibrated(
             reference_ivc_force=reference.ivc_force,
             reference_ivc_error=reference.ivc_standard_error,
@@ -297,10 +290,11 @@ class AtomisticService(Service):
             "advance", engine.advance, request.steps, request.anchor_position, request.anchor_velocity,
             request.until_error, request.most_windows if request.until_error is not None else 1,
         )  # fmt: skip
-        if self._collecting:
-            means = self._call("advance", engine.fields, list(_J_FIELDS))
-            sums = np.column_stack([means[name] for name in _J_FIELDS]) * (self._blocks.samples + now.windows)
-            self._blocks.add(sums - self._blocks.total, now.windows)
+        self._advanced = self._collecting
+        record = self._record()
+        if self._collecting and engine.samples > record.samples:
+            means = self._call("advance", engine.fields, list(J_FIELDS))
+            record.add(means, engine.samples - record.samples)
         bonds = self._call("advance", engine.broken_bonds)
         return messages.AtomisticAdvanced(
             step=now.step,
@@ -330,7 +324,7 @@ class AtomisticService(Service):
         engine = self._configured()
         self._call("collect_fields", engine.collect_fields, request.active)
         self._collecting = request.active
-        self._begin_average()
+        self._begin()
         return messages.Collecting(step=engine.step)
 
     def fields(self, request: FieldsRequest) -> FieldsReply:
@@ -349,7 +343,7 @@ class AtomisticService(Service):
             request.radius, self._dimension,
         )  # fmt: skip
         fields = {name: found[name] for name in request.names}
-        return messages.GridFields(step=engine.step, samples=self._blocks.samples, fields=fields)
+        return messages.GridFields(step=engine.step, samples=self._record().samples, fields=fields)
 
     def j_integral(self, request: messages.JIntegralRequest) -> messages.JIntegral:
         """Return J of the means collected since the last answer, and begin a new average."""
@@ -358,26 +352,27 @@ class AtomisticService(Service):
             rest = engine.reference_fields()
         except EngineError as error:
             raise ProtocolError("wrong_state", f"{error}", hint="collect_fields comes before equilibrate") from None
-        if not self._blocks.samples:
+        record = self._record()
+        if not self._advanced:
             raise ProtocolError("wrong_state", "no window was collected since the last answer: advance comes before")
-        tip, half_sizes = self._tip(request.tip), tuple(request.half_sizes)
-        meter = self._call("j_integral", self._meter_at, tip, half_sizes, rest)
-        found = meter.measure(_atom_fields(self._blocks.total / self._blocks.samples))
-        contour_error = domain_error = np.zeros(len(half_sizes))
-        blocks = [_atom_fields(block) for block in self._blocks.means()]
-        if len(blocks) >= FEWEST_BLOCKS:
-            scatter = meter.measure_blocks(blocks)
-            assert scatter.contour_error is not None and scatter.domain_error is not None
-            contour_error, domain_error = scatter.contour_error, scatter.domain_error
+        if not record.samples:  # the windows were too short for a sample of their own
+            record.add(self._call("j_integral", engine.fields, list(J_FIELDS)), 1)
+        tip = self._tip(request.tip)
+        place = self._call("j_integral", engine.fields, ["position"])["position"]
+        found = self._call("j_integral", record.measure, tip, tuple(request.half_sizes), rest, place)
         reply = messages.JIntegral(
-            step=engine.step, samples=self._blocks.samples, tip=tip, contour=found.contour,
-            standard_error=contour_error,
-            domain=found.domain, domain_error=domain_error,
+            step=engine.step, samples=record.samples, tip=tip, contour=found.contour,
+            standard_error=found.contour_error, domain=found.domain, domain_error=found.domain_error,
         )  # fmt: skip
         if self._collecting:
             self._call("j_integral", engine.collect_fields, True)
-        self._begin_average(keep_meter=True)
+        self._begin()
         return reply
+
+    def _begin(self) -> None:
+        """Begin new means of the fields that J is made of."""
+        self._advanced = False
+        self._record().begin()
 
     def _tip(self, given: Point2 | None) -> Point2:
         if given is not None:
@@ -388,36 +383,13 @@ class AtomisticService(Service):
             raise ProtocolError("bad_field", "tip is missing; this sample has no crack to follow", field="tip")
         return (float(self._call("j_integral", engine.broken_bonds).tip_x), crack.y)
 
-    def _meter_at(self, tip: Point2, half_sizes: tuple[float, ...], rest: dict[str, NDArray[np.float64]]) -> JMeter:
-        """The meter at a tip; its matrices are kept until tip, contours or broken bonds change."""
-        engine, bonds = self._configured(), self._bonds
-        assert bonds is not None
-        broken = bonds.pairs[bonds.lengths(engine.fields(["position"])["position"]) > bonds.limit]
-        without = np.unique(broken)
-        key = (*tip, *half_sizes, *without)
-        if self._meter is None or self._meter[0] != key:
-            atoms = engine.atoms
-            meter = JMeter(
-                atoms, tip, half_sizes, temperature=self._temperature, without=without if len(without) else None
-            )
-            meter.set_reference(AtomFields(rest["mean_position"], rest["energy"], rest["virial"]))
-            self._meter = (key, meter)
-        return self._meter[1]
-
-    def _begin_average(self, keep_meter: bool = False) -> None:
-        atoms = 0 if self._engine is None else len(self._engine.atoms)
-        self._blocks = FieldBlocks((atoms, _COLUMNS))
-        if not keep_meter:
-            self._meter = None
-
     # State ----------------------------------------------------------------------------------------------------
 
     def checkpoint(self, request: Empty) -> CheckpointReply:
         """Return the state; the engine goes on from it as a restored one would."""
         engine = self._configured()
         state = self._call("checkpoint", engine.state)
-        if self._blocks.samples:
-            state.update({_BLOCKS + name: value for name, value in self._blocks.state().items()})
+        state.update({_J + name: value for name, value in self._record().state().items()})
         return CheckpointReply(step=engine.step, state=state)
 
     def restore(self, request: RestoreRequest) -> Restored:
@@ -426,18 +398,18 @@ class AtomisticService(Service):
         counters = request.state.get(_COUNTERS)
         if counters is None or counters.size == 0 or int(counters.flat[0]) != request.step:
             raise ProtocolError("bad_field", f"step {request.step} is not the step of the state", field="step")
-        own = {name.removeprefix(_BLOCKS): value for name, value in request.state.items() if name.startswith(_BLOCKS)}
-        rest = {name: value for name, value in request.state.items() if not name.startswith(_BLOCKS)}
-        shape = (len(engine.atoms), _COLUMNS)
+        own = {name.removeprefix(_J): value for name, value in request.state.items() if name.startswith(_J)}
+        rest = {name: value for name, value in request.state.items() if not name.startswith(_J)}
+        record = JRecord(engine.atoms, self._own_profile, self._temperature)
         try:
-            blocks = FieldBlocks.restored(own, shape) if own else FieldBlocks(shape)
+            record.restore(own)
             self._call("restore", engine.restore, rest)
         except KeyError as error:
             raise ProtocolError("bad_field", f"state lacks {error}", field="state") from None
         except ValueError as error:
             raise ProtocolError("bad_field", str(error), field="state") from None
-        self._collecting = bool(request.state[_COLLECTED][1])
-        self._blocks, self._meter = blocks, None
+        self._collecting = self._advanced = bool(request.state[_COLLECTED][1])
+        self._j = record
         return Restored(step=engine.step)
 
     def close(self) -> None:
@@ -452,6 +424,11 @@ class AtomisticService(Service):
         if self._engine is None:
             raise ProtocolError("wrong_state", "there is no sample: the last configure failed")
         return self._engine
+
+    def _record(self) -> JRecord:
+        self._configured()
+        assert self._j is not None  # made with the engine
+        return self._j
 
     def _check_force_field(self, name: str) -> None:
         known = self._factory.force_fields()
@@ -528,8 +505,3 @@ def _drifts(how: Any) -> list[messages.Drift]:
         for name, drift, error in values
         if np.isfinite(drift) and np.isfinite(error)
     ]
-
-
-def _atom_fields(columns: NDArray[np.float64]) -> AtomFields:
-    """Fields for J from the columns of `_J_FIELDS`."""
-    return AtomFields(columns[:, :3].copy(), columns[:, 9].copy(), columns[:, 3:9].copy())

@@ -17,7 +17,7 @@ from md_service.epoxy_rings import aromatic_rings, nearest_image, speared_rings
 from md_service.epoxy_typing import BondGraph, bonds_of, elements_of, graph_of, typed
 
 VALENCE = {"C": (3, 4), "N": (3,), "O": (2,), "H": (1,)}
-QUICK = Schedule(hot=0.4e-12, cooling=1e-12, release=0.4e-12, holding=0.8e-12)
+QUICK = Schedule(hot=0.2e-12, cooling=0.4e-12, holding=0.4e-12)
 
 
 def _ring(radius: float) -> NDArray[np.float64]:

@@ -66,7 +66,7 @@ def test_lattice_at_0_K_is_without_pressure(name: str, material: str, tmp_path: 
     assert pressure(spacing - tolerance) > 0.0 > pressure(spacing + tolerance)
 
 
-@pytest.mark.parametrize(("name", "material"), LATTICES)
+@pytest.mark.parametrize(("name", "material"), [pair for pair in LATTICES if not pair[0].startswith("reaxff")])
 def test_lattice_is_known_with_an_error_above_0_K_and_lies_between_the_table_in_between(
     name: str, material: str
 ) -> None:
@@ -81,6 +81,13 @@ def test_lattice_is_known_with_an_error_above_0_K_and_lies_between_the_table_in_
         field.spacing(material, 2.1 * kelvin[1])
     with pytest.raises(ValueError, match="known up to"):
         field.spacing(material, -1.0)
+
+
+@pytest.mark.parametrize("name", ["reaxff", "reaxff-cho"])
+def test_lattice_that_is_known_at_0_K_only_is_refused_above(name: str) -> None:
+    assert force_field(name).spacing("graphene", 0.0) == force_field(name).lattice_constant
+    with pytest.raises(ValueError, match="known up to 0 K"):
+        force_field(name).spacing("graphene", 300.0)
 
 
 def truncated_sum(points: np.ndarray, sigma: float, cutoff: float) -> float:

@@ -154,4 +154,4 @@ def test_j_and_fields_resume_as_if_the_run_had_not_stopped(start: StartsRuns, tm
             assert density.shape[0] == 3 and density[:, 4, 6, 0] == pytest.approx(2250.0, rel=0.03)
     names = sorted(path.name for path in (tmp_path / "parts" / "fields").iterdir())
     assert names == [f"grid_{step:08d}.vtkhdf" for step in (8, 16, 24)]
-    assert "J from the atoms" in (tmp_path / "whole" / "report.html").read_text()
+    assert "<h3>J from the atoms</h3>" in (tmp_path / "whole" / "report.html").read_text()
