@@ -21,10 +21,10 @@ from md_service.verification.overhead import BareSheet, ServedSheet
 from protocol.verification import BenchmarkRow
 
 #: Force fields, and steps of a timed run: about a second.
-FORCE_FIELDS = {"tersoff": 200, "airebo": 200, "reaxff": 20}
+FORCE_FIELDS = {"tersoff": 200, "airebo": 200, "reaxff": 50}
 WINDOWS = (10, 100)
 RANKS = (1, 2)
-ROUNDS = 7
+ROUNDS = 5
 _J_INTERVAL = 100  # steps
 
 

@@ -71,7 +71,7 @@ def draw_error(rows: Sequence[BenchmarkRow], path: Path) -> None:
             if row is not middle:
                 text = f" {row.knobs[knob]:g}{_UNITS[knob]}"
                 left.annotate(text, (row.seconds, height), fontsize=7, color=colour)
-    left.set_xlabel("seconds for 4 ps")
+    left.set_xlabel("seconds for 3 ps")
     left.set_ylabel("standard error of the mean pull, %")
     left.legend(frameon=False, fontsize=8)
     right.set_xlabel("M, fs or N/m")

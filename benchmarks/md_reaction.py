@@ -18,7 +18,7 @@ from protocol.verification import BenchmarkRow
 SIZE: Final = 52e-10  # m
 MARGIN: Final = 10e-10  # m
 STRAIN: Final = 0.01
-LENGTH: Final = 4e-12  # s of each run
+LENGTH: Final = 3e-12  # s of each run
 #: Window M, time step (fs), stiffness (N/m): one knob at a time about the middle.
 MIDDLE: Final = (30, 0.5, 30.0)
 CONFIGURATIONS: Final = (

@@ -13,7 +13,7 @@ import numpy as np
 
 from md_service.backend import mpi_launcher
 from md_service.force_fields import force_field as profile_of
-from md_service.overhead import DAMPING_TIME, SIZE, STIFFNESS, TEMPERATURE, framed_sheet
+from md_service.overhead import DAMPING_TIME, SIZE, SMALLER, STIFFNESS, TEMPERATURE, framed_sheet
 from protocol import atomistic as messages
 from protocol.client import Client
 from protocol.messages import Acknowledged
@@ -60,11 +60,12 @@ class ServedSheet:
         self._process = subprocess.Popen(words)
         self._client = Client.connect(endpoint, "atomistic")
         self.window = window
+        size = SMALLER.get(force_field, SIZE)
         self._client.call(
             "configure",
             messages.AtomisticConfigure(
                 force_field=force_field,
-                sample=messages.Sample(material="graphene", width=SIZE, height=SIZE),
+                sample=messages.Sample(material="graphene", width=size, height=size),
                 temperature=TEMPERATURE,
                 time_step=profile_of(force_field).time_step,
                 seed=1,
