@@ -8,7 +8,15 @@ import pytest
 from numpy.typing import NDArray
 
 from md_service.atoms import Atoms, Box
-from md_service.epoxy import UNIT, UNIT_ATOMS, build_epoxy, without_topology
+from md_service.epoxy import (
+    SHIPPED,
+    SHIPPED_UNITS,
+    UNIT,
+    UNIT_ATOMS,
+    build_epoxy,
+    shipped_epoxy,
+    without_topology,
+)
 from md_service.epoxy_curing import Reaction, conversion_of, cross_links, cure, epoxide_groups, react
 from md_service.epoxy_monomers import Molecule, joined, monomer
 from md_service.epoxy_packing import GAP, pack
@@ -117,19 +125,19 @@ def test_packed_molecules_keep_apart_from_each_other_and_from_a_platelet() -> No
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory: pytest.TempPathFactory) -> Atoms:
-    return build_epoxy(3, seed=11, work_dir=tmp_path_factory.mktemp("epoxy"), schedule=QUICK)
+    return build_epoxy(2, seed=11, work_dir=tmp_path_factory.mktemp("epoxy"), schedule=QUICK)
 
 
 def test_a_small_resin_has_the_wanted_conversion_valences_and_no_speared_ring(small: Atoms) -> None:
-    assert len(small) == 3 * UNIT_ATOMS
+    assert len(small) == 2 * UNIT_ATOMS
     graph = graph_of(small)
-    assert cross_links(graph) == round(0.76 * 12) == 9
-    assert len(epoxide_groups(graph)) == 3
+    assert cross_links(graph) == round(0.76 * 8) == 6
+    assert len(epoxide_groups(graph)) == 2
     assert small.notes["conversion"] == conversion_of(small) == 0.75
     _check_valences(small)
     assert speared_rings(small) == []
     assert small.charge is not None and abs(small.charge.sum()) < 1e-12
-    assert Counter(elements_of(small)) == Counter(e for molecule in UNIT * 3 for e in molecule.elements)
+    assert Counter(elements_of(small)) == Counter(e for molecule in UNIT * 2 for e in molecule.elements)
 
 
 def test_bonds_of_a_small_resin_are_as_long_as_bonds(small: Atoms) -> None:
@@ -139,14 +147,14 @@ def test_bonds_of_a_small_resin_are_as_long_as_bonds(small: Atoms) -> None:
 
 
 def test_the_same_seed_gives_the_same_resin(small: Atoms, tmp_path: Path) -> None:
-    again = build_epoxy(3, seed=11, work_dir=tmp_path, schedule=QUICK)
+    again = build_epoxy(2, seed=11, work_dir=tmp_path, schedule=QUICK)
     np.testing.assert_array_equal(again.position, small.position)
     np.testing.assert_array_equal(bonds_of(again), bonds_of(small))
 
 
 def test_curing_goes_on_from_a_resin(small: Atoms, tmp_path: Path) -> None:
-    more = cure(small, 10.0 / 12.0, 3, tmp_path)
-    assert cross_links(graph_of(more)) == 10
+    more = cure(small, 7.0 / 8.0, 3, tmp_path)
+    assert cross_links(graph_of(more)) == 7
     before, after = ({tuple(bond) for bond in bonds_of(atoms).tolist()} for atoms in (small, more))
     assert len(before - after) == len(after - before) == 2
     assert speared_rings(more) == []
@@ -173,3 +181,28 @@ def test_an_atom_of_no_known_kind_is_named() -> None:
     methane = Molecule(("C", "H", "H", "H", "H"), np.zeros((5, 3)), np.array([(0, i) for i in range(1, 5)]))
     with pytest.raises(ValueError, match=r"atom 0 \(C\).*H, H, H, H"):
         typed(methane, _box(20e-10))
+
+
+def test_the_shipped_resin_is_what_its_notes_say() -> None:
+    atoms = shipped_epoxy()
+    assert len(atoms) == SHIPPED_UNITS * UNIT_ATOMS == 17901
+    graph = graph_of(atoms)
+    assert cross_links(graph) == round(0.76 * 4 * SHIPPED_UNITS) == 465
+    assert cross_links(graph) + len(epoxide_groups(graph)) == 4 * SHIPPED_UNITS
+    assert conversion_of(atoms) == atoms.notes["conversion"]
+    _check_valences(atoms)
+    assert speared_rings(atoms) == []
+    assert atoms.charge is not None and abs(atoms.charge.sum()) < 1e-9
+    assert atoms.density == pytest.approx(float(atoms.notes["density"]), rel=1e-5)
+    assert SHIPPED.stat().st_size < 2_000_000
+    assert "--units 153" in str(atoms.notes["command"])
+
+
+def test_types_of_the_shipped_resin_are_those_of_its_bonds() -> None:
+    atoms = shipped_epoxy()
+    again = typed(Molecule(elements_of(atoms), atoms.position, bonds_of(atoms)), atoms.box)
+    assert again.species == atoms.species
+    np.testing.assert_array_equal(again.kind, atoms.kind)
+    assert again.topology is not None and atoms.topology is not None
+    assert again.topology.dihedral_names == atoms.topology.dihedral_names
+    np.testing.assert_array_equal(again.topology.dihedrals, atoms.topology.dihedrals)

@@ -74,11 +74,14 @@ def test_far_above_the_load_of_growth_nothing_explodes_and_cuts_give_the_stated_
     # 15 bonds of 3.7 eV are 500 K of heat in these 470 atoms, and the pulling does as much; the cut with a window of
     # 1e-4 A ended at a million K.
     assert max(answer.temperature for answer in pulled.answers) < 2000.0
-    # Energy that came from nowhere: what is not the work of anchors and thermostats.
+    # Energy that came from nowhere: what is not the work of anchors and thermostats. While the crack runs through the
+    # sheet each bond brings as much; of ends that are torn off at last each brings less.
     gained = np.array([a.potential_energy + a.kinetic_energy - a.anchor_work for a in pulled.answers])
     gained -= gained[0]
-    per_bond = gained @ broken / (broken @ broken)
+    running = broken <= 7
+    per_bond, _ = np.polyfit(broken[running], gained[running], 1)
     cut_energy = pulled.released[-1] / broken[-1]
+    assert broken[running].max() >= 5
     assert np.abs(gained[broken == 0]).max() < 0.6 * cut_energy
     # Less than where halves are parted rigidly, since the neighbours of the bond give way.
     assert 0.75 * cut_energy < per_bond < cut_energy
