@@ -8,6 +8,7 @@ from md_service.verification import (
     copper_elastic,
     energy_drift,
     engines,
+    epoxy,
     face_energy,
     graphene_elastic,
     k_field_j,
@@ -25,6 +26,7 @@ CASES: list[Case] = [
     *standard_error.CASES,
     *checkpoint.CASES,
     *engines.CASES,
+    *epoxy.CASES,
     *face_energy.CASES,
     *overhead.CASES,
 ]
