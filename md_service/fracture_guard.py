@@ -85,14 +85,14 @@ class FractureGuard:
         length = self.bonds.lengths(position)
         bond = int(np.argmax(np.where(self.bonds.sticking(length), length, 0.0)))
         return (
-            f"the bond of {self._named(bond, position)} is stretched to {length[bond] / _ANGSTROM:.3f} A, where "
+            f"The bond of {self._named(bond, position)} is stretched to {length[bond] / _ANGSTROM:.3f} A, where "
             f"{field.name} begins to switch it off. {field.cutoff_trap} {field.cure}"
         ).strip()
 
     def _cut_text(self, field: ForceField, cut_energy: float, position: NDArray[np.float64]) -> str:
         bond = int(np.argmax(self.bonds.lengths(position) - self.bonds.limit))
         return (
-            f"the bond of {self._named(bond, position)} is cut, with {cut_energy / _ELECTRONVOLT:.2f} eV of its energy "
+            f"The bond of {self._named(bond, position)} is cut, with {cut_energy / _ELECTRONVOLT:.2f} eV of its energy "
             f"not spent. {field.cutoff_trap} {field.cure}"
         ).strip()
 
