@@ -12,7 +12,6 @@ along y at a distance of 1.5 bond lengths; with the armchair direction along x t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
 import numpy as np
@@ -25,7 +24,7 @@ from md_service.chemical_elements import ATOMIC_WEIGHT
 from md_service.crystals import whole_cells
 from md_service.slit import in_slit, shift_to_slit
 
-__all__ = ["CrackCut", "Sheet", "area_per_atom", "bonds_of", "graphene", "sheet"]
+__all__ = ["CrackCut", "area_per_atom", "bonds_of", "graphene"]
 
 GRAPHENE_THICKNESS: Final = 3.35e-10  # m, by convention the distance of the layers of graphite
 NEIGHBOUR_RANGE: Final = 1.2  # bonds of an undeformed sheet are shorter than this many bond lengths
@@ -163,36 +162,6 @@ def graphene(
         crack=crack,
         notes={"material": "graphene", "orientation": orientation, "layers": layers},
     )
-
-
-@dataclass(frozen=True)
-class Sheet:
-    """A graphene sheet in the plane z = 0.
-
-    Attributes
-    ----------
-    position : ndarray, shape (n, 3)
-        Atom positions, m, rows sorted by y, then x.
-    width, height : float
-        True size, m: number of cells times their size.
-    lattice_constant : float
-        Carbon-carbon distance, m.
-    crack : CrackCut or None
-        The slit as cut.
-    """
-
-    position: NDArray[np.float64]
-    width: float
-    height: float
-    lattice_constant: float
-    crack: CrackCut | None
-
-
-def sheet(width: float, height: float, lattice_constant: float, crack: CrackCut | None = None) -> Sheet:
-    """One sheet with free edges and the zigzag direction along x; see `graphene`."""
-    built = graphene(width, height, spacing=lattice_constant, crack=crack)
-    size = built.box.high - built.box.low
-    return Sheet(built.position, float(size[0]), float(size[1]), lattice_constant, crack)
 
 
 def _check_choices(spacing: float, layers: int, orientation: str, stacking: str, layer_distance: float) -> None:

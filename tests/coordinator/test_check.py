@@ -12,7 +12,7 @@ from coordinator.check import continuum_points, describe
 from coordinator.kill_resume import SCENE
 from coordinator.scene import Scene, read_scene
 from md_service.force_fields import FORCE_FIELDS
-from md_service.graphene import sheet
+from md_service.graphene import graphene
 from mpm_service.material_points import fill_rectangle
 from protocol.backend import BackendError
 
@@ -45,7 +45,8 @@ def test_a_body_without_atoms_is_full_of_points() -> None:
 def test_the_number_of_atoms_is_about_right() -> None:
     scene = small()
     assert scene.atomistic is not None
-    built = sheet(scene.atomistic.width, scene.atomistic.height, FORCE_FIELDS["tersoff"].lattice_constant)
+    spacing = FORCE_FIELDS["tersoff"].lattice_constant
+    built = graphene(scene.atomistic.width, scene.atomistic.height, spacing=spacing)
     found = re.search(r"about (\d+) atoms, (\d+) of them anchored", describe(scene))
     assert found
     atoms, anchored = (int(number) for number in found.groups())

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from md_service.atoms import CrackCut
-from md_service.graphene import area_per_atom, bonds_of, graphene, sheet
+from md_service.graphene import area_per_atom, bonds_of, graphene
 
 BOND = 1.42e-10
 
@@ -15,7 +15,7 @@ def coordination(position):
 
 
 def test_every_bond_has_the_lattice_constant_and_inner_atoms_have_three():
-    built = sheet(30e-10, 40e-10, BOND)
+    built = graphene(30e-10, 40e-10, spacing=BOND)
     bonds = bonds_of(built.position, BOND)
     length = np.linalg.norm(built.position[bonds[:, 0]] - built.position[bonds[:, 1]], axis=1)
     np.testing.assert_allclose(length, BOND, rtol=1e-12)
@@ -28,7 +28,7 @@ def test_every_bond_has_the_lattice_constant_and_inner_atoms_have_three():
 
 
 def test_bond_directions_put_zigzag_along_x():
-    built = sheet(30e-10, 30e-10, BOND)
+    built = graphene(30e-10, 30e-10, spacing=BOND)
     bonds = bonds_of(built.position, BOND)
     vector = built.position[bonds[:, 1]] - built.position[bonds[:, 0]]
     angle = np.round(np.degrees(np.arctan2(vector[:, 1], vector[:, 0]))) % 180
@@ -36,23 +36,24 @@ def test_bond_directions_put_zigzag_along_x():
 
 
 def test_size_is_whole_cells_nearest_to_the_request_and_centred():
-    built = sheet(103e-10, 103e-10, BOND)
-    assert abs(built.width - 103e-10) <= 0.5 * np.sqrt(3) * BOND
-    assert abs(built.height - 103e-10) <= 0.75 * BOND
+    built = graphene(103e-10, 103e-10, spacing=BOND)
+    width, height, _ = built.box.high - built.box.low
+    assert abs(width - 103e-10) <= 0.5 * np.sqrt(3) * BOND
+    assert abs(height - 103e-10) <= 0.75 * BOND
     # All atoms but the two with a single neighbour: the area holds width * height / area per atom.
-    assert round(built.width * built.height / area_per_atom(BOND)) == len(built.position) + 2
+    assert round(width * height / area_per_atom(BOND)) == len(built.position) + 2
     np.testing.assert_allclose(built.position.min(axis=0), -built.position.max(axis=0), atol=1e-20)
 
 
 def test_cracked_sheet_of_the_graphene_scene_has_about_4163_atoms():
-    built = sheet(103e-10, 103e-10, 1.398e-10, CrackCut(0.0))
+    built = graphene(103e-10, 103e-10, spacing=1.398e-10, crack=CrackCut(0.0))
     assert abs(len(built.position) - 4163) < 0.01 * 4163
 
 
 @pytest.mark.parametrize("y", [0.0, 1.3e-10, -7.7e-10])
 def test_slit_lies_exactly_on_the_crack_with_zigzag_faces_that_cannot_rebind(y):
     tip = 1.0e-10
-    built = sheet(40e-10, 40e-10, BOND, CrackCut(tip, y))
+    built = graphene(40e-10, 40e-10, spacing=BOND, crack=CrackCut(tip, y))
     behind = built.position[built.position[:, 0] < tip - BOND]
     above, below = behind[behind[:, 1] > y], behind[behind[:, 1] < y]
     top, bottom = above[:, 1].min(), below[:, 1].max()
@@ -69,8 +70,8 @@ def test_slit_lies_exactly_on_the_crack_with_zigzag_faces_that_cannot_rebind(y):
 
 def test_slit_removes_one_chain_up_to_the_tip():
     tip = -0.4e-10
-    whole, cut = sheet(40e-10, 41e-10, BOND), sheet(40e-10, 41e-10, BOND, CrackCut(tip))
-    assert whole.height == cut.height
+    whole, cut = (graphene(40e-10, 41e-10, spacing=BOND, crack=crack) for crack in (None, CrackCut(tip)))
+    np.testing.assert_array_equal(whole.box.high[1] - whole.box.low[1], cut.box.high[1] - cut.box.low[1])
     chain = np.abs(whole.position[:, 1]) < 0.3 * BOND
     removed = np.count_nonzero(chain & (whole.position[:, 0] < tip))
     # One more goes at the slit's mouth, where an edge atom would be left with a single neighbour.
@@ -78,17 +79,17 @@ def test_slit_removes_one_chain_up_to_the_tip():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "field"),
+    ("wrong", "field"),
     [
-        ((1e-10, 40e-10, BOND), "width"),
-        ((40e-10, 40e-10, 0.0), "spacing"),
-        ((40e-10, 40e-10, BOND, CrackCut(30e-10)), "crack.tip_x"),
-        ((40e-10, 40e-10, BOND, CrackCut(0.0, 30e-10)), "crack.y"),
+        ({"width": 1e-10}, "width"),
+        ({"spacing": 0.0}, "spacing"),
+        ({"crack": CrackCut(30e-10)}, "crack.tip_x"),
+        ({"crack": CrackCut(0.0, 30e-10)}, "crack.y"),
     ],
 )
-def test_bad_input_names_its_field(arguments, field):
+def test_bad_input_names_its_field(wrong, field):
     with pytest.raises(ValueError, match=field):
-        sheet(*arguments)
+        graphene(**{"width": 40e-10, "height": 40e-10, "spacing": BOND, **wrong})
 
 
 def inner(built, margin):
