@@ -21,6 +21,7 @@ from md_service.atom_system import AtomSystem
 HANDSHAKE: Final = "handshake"
 PASSIVE: Final = "passive"
 MOBILE: Final = "mobile"
+ANCHORED: Final = "anchored"
 _INNER_NUMBER, _HANDSHAKE_NUMBER, _PASSIVE_NUMBER = 0, 1, 2
 
 
@@ -64,9 +65,9 @@ class LammpsAnchors:
                     "variable of_group delete",
                 ]
             )
-        self._command([f"group {MOBILE} subtract all {PASSIVE}"])
+        self._command([f"group {MOBILE} subtract all {PASSIVE}", f"group {ANCHORED} union {HANDSHAKE} {PASSIVE}"])
         if any(self._periodic):
-            self._command(["compute anchor_unwrapped all property/atom xu yu zu"])
+            self._command([f"compute anchor_unwrapped {ANCHORED} property/atom xu yu zu"])
         if self.has_passive:
             self._command([f"fix carried {PASSIVE} nve/noforce"])
         if self._anchors.moving:
@@ -130,7 +131,7 @@ class LammpsAnchors:
     def averaging_commands(self, window: int) -> list[str]:
         """``fix ave/atom`` over windows of M steps: positions and velocities, and forces on passive atoms."""
         place = " ".join(self._current)
-        lines = [f"fix window_mean all ave/atom 1 {window} {window} {place} vx vy vz"]
+        lines = [f"fix window_mean {ANCHORED} ave/atom 1 {window} {window} {place} vx vy vz"]
         if self.has_passive:
             lines.append(f"fix window_force {PASSIVE} ave/atom 1 {window} {window} fx fy fz")
         return lines
