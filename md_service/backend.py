@@ -19,7 +19,7 @@ BACKEND = Backend(
         "rebo-sharp": 1.6e-6,
         "lcbop": 1.7e-6,
         "lennard-jones": 4e-7,
-        "opls-aa": 2e-6,
+        "opls-aa": 5e-6,
         "reaxff": 1.2e-4,
         "reaxff-cho": 2.4e-5,
     },

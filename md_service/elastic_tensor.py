@@ -168,11 +168,6 @@ def compliance_of(stiffness: NDArray[np.float64]) -> NDArray[np.float64]:
         raise ValueError("the stiffness tensor is singular: the material resists some strain with no stress") from error
 
 
-def is_stable(tensor: NDArray[np.float64]) -> bool:
-    """Whether every strain costs energy (Born): the symmetric part is positive definite."""
-    return bool(np.linalg.eigvalsh(symmetric(tensor)).min() > 0.0)
-
-
 def jackknife(
     replicas: NDArray[np.float64], figures: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

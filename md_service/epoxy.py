@@ -14,8 +14,8 @@ from typing import Final
 
 import numpy as np
 
-from md_service.atoms import Atoms, Box
-from md_service.data_file import read_data_file, write_data_file
+from md_service.atoms import Atoms
+from md_service.data_file import read_data_file
 from md_service.epoxy_curing import conversion_of, cure
 from md_service.epoxy_monomers import ELEMENT_MASS, Molecule, monomer
 from md_service.epoxy_packing import pack
@@ -23,7 +23,6 @@ from md_service.epoxy_relaxation import HOT, Schedule, compress, relax
 from md_service.epoxy_rings import speared_rings
 from md_service.epoxy_typing import elements_of
 from md_service.errors import EngineError
-from md_service.units import LENGTH
 
 #: Molecules of a unit.
 UNIT: Final = (monomer("DGEBF"), monomer("DGEBF"), monomer("DETDA"))
@@ -113,15 +112,6 @@ def build_epoxy(
 def shipped_epoxy() -> Atoms:
     """The sample of 153 units (17901 atoms) that comes with the package; its notes name the command that made it."""
     return read_data_file(SHIPPED)[0]
-
-
-def write_for_shipping(atoms: Atoms, path: Path) -> None:
-    """Write a sample with positions to 1e-4 Angstrom, which makes the packed file small."""
-    position = np.round(atoms.position / LENGTH, 4)
-    edges = np.round((atoms.box.high - atoms.box.low) / LENGTH, 4)
-    low = np.round(atoms.box.low / LENGTH, 4)
-    box = Box(low * LENGTH, (low + edges) * LENGTH, atoms.box.periodic)
-    write_data_file(path, atoms.at(position * LENGTH, box), "real", "full")
 
 
 def without_topology(atoms: Atoms) -> Atoms:

@@ -211,12 +211,9 @@ class OpenmmFactory:
         self, folder: Path, force_field: str, material: str, temperature: float, seed: int, progress: Progress
     ) -> IsotropicProperties:
         """Constants at 0 K from energies; above, this engine measures none."""
-        from md_service.static_constants import crystal, static_constants
+        from md_service.static_constants import crystal, require_rest, static_constants
 
-        if temperature != 0.0:
-            raise ValueError(
-                f"temperature is {temperature} K; this engine measures constants at 0 K only; take md_service above"
-            )
+        require_rest(temperature)
         cell = crystal(material, self.spacing(force_field, material), lennard_jones_parameters()[2])
         # Differences of energies need double precision.
         return static_constants(lambda atoms: self.forces(force_field, atoms, "Reference"), cell)

@@ -30,6 +30,20 @@ _LARGEST_MOVE: Final = 0.05e-10  # m
 _ITERATIONS: Final = 2000
 
 
+def require_rest(temperature: float) -> None:
+    """Refuse a temperature, K, other than 0, for engines that have no constants but those of `static_constants`.
+
+    Raises
+    ------
+    ValueError
+        If the temperature is not 0.
+    """
+    if temperature != 0.0:
+        raise ValueError(
+            f"temperature is {temperature} K; this engine measures constants at 0 K only; take md_service above"
+        )
+
+
 def crystal(material: str, spacing: float, reach: float = 0.0) -> Atoms:
     """A periodic crystal for `static_constants`.
 

@@ -14,11 +14,8 @@ TIME: Final = 1e-12  # s per ps
 VELOCITY: Final = LENGTH / TIME  # m/s per Angstrom/ps
 ENERGY: Final = 1.602176634e-19  # J per eV
 FORCE: Final = ENERGY / LENGTH  # N per eV/Angstrom
-STIFFNESS: Final = ENERGY / LENGTH**2  # N/m per eV/Angstrom^2
-DAMPING: Final = FORCE / VELOCITY  # kg/s per eV ps/Angstrom^2
 MASS: Final = 1e-3 / AVOGADRO  # kg per g/mol
 PRESSURE: Final = 1e5  # Pa per bar
-VOLUME: Final = LENGTH**3  # m^3 per Angstrom^3
 
 
 @dataclass(frozen=True)
@@ -54,11 +51,6 @@ class UnitSystem:
     def stiffness(self) -> float:
         """N/m."""
         return self.energy / self.length**2
-
-    @property
-    def damping(self) -> float:
-        """Friction constant in force over velocity, kg/s."""
-        return self.force / self.velocity
 
     @property
     def volume(self) -> float:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from md_service.elastic_tensor import VOIGT, engineering_constants, is_stable, isotropic_average
+from md_service.elastic_tensor import VOIGT, engineering_constants, isotropic_average
 from md_service.properties import mean_about_axis_1
 from protocol.constituent import Constituent, Figure
 
@@ -78,11 +78,6 @@ def test_mean_about_axis_1_is_the_mean_over_rotations():
         c, s = np.cos(angle), np.sin(angle)
         mean += rotated(tensor, np.array([[1, 0, 0], [0, c, -s], [0, s, c]])) / count
     np.testing.assert_allclose(mean_about_axis_1(tensor), mean, atol=1e-9 * tensor.max())
-
-
-def test_stability_is_told():
-    assert is_stable(isotropic(1e9, 0.49))
-    assert not is_stable(isotropic(1e9, 0.51))
 
 
 def test_bad_tensors_are_refused():
