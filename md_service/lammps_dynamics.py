@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,17 +13,17 @@ from md_service.anchors import Anchors, finite_array
 from md_service.atom_system import AtomSystem
 from md_service.atoms import Atoms, Box
 from md_service.dynamics import State, Window
-from md_service.ensembles import THERMOSTATS, Ensemble, Thermostat
+from md_service.ensembles import Ensemble
 from md_service.errors import EngineError
 from md_service.force_fields import ForceField
 from md_service.lammps_anchors import HANDSHAKE, MOBILE, LammpsAnchors
 from md_service.lammps_ensembles import TALLIED, THERMOSTAT, ensemble_commands, ensemble_removal_commands
 from md_service.ranks import Ranks
+from md_service.saved_state import packed_state, unpacked_state
 
 _DAMPER: Final = "anchor_damper"  # fix
 _TALLY_INTERVAL: Final = 50  # steps at least between two tallies of virials
 _MINIMISER_TOLERANCE: Final = 1.6e-17  # N, norm of all forces
-_ANCHOR_ARRAYS: Final = ("atom_id", "position", "velocity", "stiffness", "ivc", "damping", "kind", "force", "moving")
 _SAMPLE: Final = "c_atom_energy " + " ".join(f"c_atom_stress[{column}]" for column in range(1, 7))
 
 
@@ -249,17 +249,9 @@ class LammpsDynamics:
 
     def _collected_state(self) -> State:
         box = self._system.box()
-        state: State = {
-            "position": self._system.position(),
-            "velocity": self._system.velocity(),
-            "box": np.concatenate([box.low, box.high, box.tilt]),
-            "counters": np.array([self.step, self._seed], dtype=np.float64),
-            "ensemble": _packed_ensemble(self._ensemble),
-        }
-        if self.anchors is not None:
-            for name in _ANCHOR_ARRAYS:
-                state[f"anchor_{name}"] = np.array(getattr(self.anchors, name), dtype=np.float64)
-        return state
+        position, velocity = self._system.position(), self._system.velocity()
+        state = packed_state(position, velocity, (self.step, self._seed), self._ensemble, self.anchors)
+        return {**state, "box": np.concatenate([box.low, box.high, box.tilt])}
 
     def restore(self, state: State) -> None:
         """Go back to a state.
@@ -269,18 +261,13 @@ class LammpsDynamics:
         ValueError
             If the state is of another system.
         """
-        n = len(self.atoms)
-        missing = [name for name in ("position", "velocity", "box", "counters", "ensemble") if name not in state]
-        if missing:
-            raise ValueError(f"state lacks {', '.join(missing)}; only what the method state answers can be restored")
-        position = finite_array("state.position", state["position"], (n, 3))
-        velocity = finite_array("state.velocity", state["velocity"], (n, 3))
+        position, velocity, counters, ensemble, anchors = unpacked_state(state, len(self.atoms), 2)
+        if "box" not in state:
+            raise ValueError("state lacks box; only what the method state answers can be restored")
         corners = finite_array("state.box", state["box"], (9,))
         box = Box(corners[:3], corners[3:6], self.atoms.box.periodic, corners[6:])
-        anchors = _anchors_of(state)
-        self.step, self._seed = (int(value) for value in state["counters"])
-        self._ensemble = _unpacked_ensemble(state["ensemble"])
-        self.anchors = anchors
+        self.step, self._seed = counters
+        self._ensemble, self.anchors = ensemble, anchors
         self._rebuild(position, velocity, box)
 
     def close(self) -> None:
@@ -425,34 +412,3 @@ class LammpsDynamics:
         if self._links is None:
             raise EngineError("there are no anchors yet: call register_anchors first")
         return self._links
-
-
-def _packed_ensemble(ensemble: Ensemble | None) -> NDArray[np.float64]:
-    if ensemble is None:
-        return np.zeros(0)
-    pressure = np.nan if ensemble.pressure is None else ensemble.pressure
-    kind = THERMOSTATS.index(ensemble.thermostat)
-    return np.array([kind, ensemble.temperature, ensemble.damping_time, pressure, ensemble.pressure_time])
-
-
-def _unpacked_ensemble(packed: NDArray[np.float64]) -> Ensemble | None:
-    if len(packed) == 0:
-        return None
-    kind, temperature, damping_time, pressure, pressure_time = packed.tolist()
-    return Ensemble(
-        cast(Thermostat, THERMOSTATS[int(kind)]),
-        temperature,
-        damping_time,
-        None if np.isnan(pressure) else pressure,
-        pressure_time,
-    )
-
-
-def _anchors_of(state: State) -> Anchors | None:
-    if "anchor_atom_id" not in state:
-        return None
-    values: dict[str, Any] = {name: np.array(state[f"anchor_{name}"]) for name in _ANCHOR_ARRAYS}
-    for name in ("atom_id", "ivc", "kind"):
-        values[name] = values[name].astype(np.int64)
-    moving = bool(values.pop("moving"))
-    return Anchors(**values, moving=moving)

@@ -1,4 +1,4 @@
-"""States of engines that keep a fixed box: positions, velocities, counters, ensemble, anchors as named arrays."""
+"""States of engines: positions, velocities, counters, ensemble, anchors as named arrays."""
 
 from __future__ import annotations
 
@@ -39,8 +39,9 @@ def packed_state(
         "ensemble": np.zeros(0),
     }
     if ensemble is not None:
-        kind = THERMOSTATS.index(ensemble.thermostat)
-        state["ensemble"] = np.array([kind, ensemble.temperature, ensemble.damping_time])
+        kind, held = THERMOSTATS.index(ensemble.thermostat), ensemble.pressure is not None
+        bath = [kind, ensemble.temperature, ensemble.damping_time]
+        state["ensemble"] = np.array([*bath, held, ensemble.pressure if held else 0.0, ensemble.pressure_time])
     if anchors is not None:
         for name in _ANCHOR_ARRAYS:
             state[f"anchor_{name}"] = np.array(getattr(anchors, name), dtype=np.float64)
@@ -66,10 +67,13 @@ def unpacked_state(
     counters = finite_array("state.counters", state["counters"], (n_counters,))
     ensemble = None
     if np.size(state["ensemble"]):
-        kind, temperature, damping_time = finite_array("state.ensemble", state["ensemble"], (3,))
+        kind, temperature, damping_time, held, pressure, pressure_time = finite_array(
+            "state.ensemble", state["ensemble"], (6,)
+        ).tolist()
         if kind not in range(len(THERMOSTATS)):
             raise ValueError(f"state.ensemble holds thermostat {kind}; allowed are 0 to {len(THERMOSTATS) - 1}")
-        ensemble = Ensemble(cast(Thermostat, THERMOSTATS[int(kind)]), float(temperature), float(damping_time))
+        thermostat = cast(Thermostat, THERMOSTATS[int(kind)])
+        ensemble = Ensemble(thermostat, temperature, damping_time, pressure if held else None, pressure_time)
     return position, velocity, [int(value) for value in counters], ensemble, _anchors_of(state, n_atoms)
 
 
