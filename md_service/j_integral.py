@@ -57,8 +57,6 @@ class Contour:
     ----------
     half_size : float
         m.
-    n_points : int
-        Gauss points.
 
     Raises
     ------
@@ -101,7 +99,6 @@ class Contour:
         self._fit = Fit(value.tocsr(), by_x.tocsr(), by_y.tocsr())
         self._normal = np.repeat(normal, 3, axis=0)
         self._length = (half[:, None] * GAUSS_WEIGHTS).ravel()
-        self.n_points = len(self._length)
 
     def j(
         self,
@@ -159,11 +156,6 @@ class Domain:
     without : ndarray of int64, optional
         Rows of atoms that are left out.
 
-    Attributes
-    ----------
-    n_points : int
-        Atoms between the circles.
-
     Raises
     ------
     ValueError
@@ -195,7 +187,6 @@ class Domain:
         phase = np.pi * (radius - inner) / (outer - inner)
         slope = -0.5 * np.pi / (outer - inner) * np.sin(phase)
         self._weight = -area * slope[:, None] * arm / radius[:, None]
-        self.n_points = len(self._rows)
 
     def j(
         self,

@@ -123,12 +123,12 @@ def k_field_j(folder: Path) -> list[Check]:
         size = f"{HALF_SIZES[AT] * 1e10:.0f} A"
         contour, domain = sheet.values.contour, sheet.values.domain
         checks += [
-            Check(f"J, contour at {size}, {name}", float(contour[AT]), reference, 0.05, source, unit="J/m^2"),
-            Check(f"J, domain within {size}, {name}", float(domain[AT]), reference, 0.05, source, unit="J/m^2"),
+            Check(f"J, contour at {size}, {name}", float(contour[AT]), reference, 0.03, source, unit="J/m^2"),
+            Check(f"J, domain within {size}, {name}", float(domain[AT]), reference, 0.03, source, unit="J/m^2"),
             Check(
                 f"spread of J over contours of {HALF_SIZES[0] * 1e10:.0f} to {HALF_SIZES[-1] * 1e10:.0f} A, {name}",
                 float(np.ptp(contour) / contour.mean()),
-                0.10,
+                0.03,
                 0.0,
                 "J does not depend on the contour; limit set for the product",
                 at_most=True,
@@ -137,7 +137,7 @@ def k_field_j(folder: Path) -> list[Check]:
                 f"K^2/E' of the relaxed displacements, {name}",
                 sheet.inner_rate,
                 reference,
-                0.05,
+                0.01,
                 source,
                 unit="J/m^2",
             ),
