@@ -173,7 +173,7 @@ def _crack(curves: Curves, scene: Scene) -> Picture | None:
 
 
 def _atomistic_j(curves: Curves, scene: Scene) -> Picture | None:
-    """Draw J from the atoms over time with its standard error, its mean beside (Fig 5.3)."""
+    """Draw J from the atoms over time with its standard error (Fig 5.3)."""
     table = scene.atomistic.j if scene.atomistic is not None else None
     if table is None or not curves.has("j_contour_0"):
         return None
@@ -187,9 +187,7 @@ def _atomistic_j(curves: Curves, scene: Scene) -> Picture | None:
         there = np.isfinite(value)
         time, value, error = curves.time[there], value[there], error[there]
         axes.fill_between(time, value - error, value + error, color=colour, alpha=0.2, linewidth=0)
-        mean, spread = mean_and_error(value)
-        axes.plot(time, value, "-o", color=colour, markersize=2.5, linewidth=1.2,
-                  label=f"{size / ANGSTROM:.3g} Å: {mean:.3g} ± {spread:.2g}")  # fmt: skip
+        axes.plot(time, value, "-o", color=colour, markersize=2.5, linewidth=1.2, label=f"{size / ANGSTROM:.3g} Å")
         domain = curves.get(f"j_domain_{number}")[there]
         axes.plot(time, domain, ":", color=colour, linewidth=1.0)
     if curves.has("j_boundary"):
@@ -198,24 +196,10 @@ def _atomistic_j(curves: Curves, scene: Scene) -> Picture | None:
     _legend(axes)
     caption = (
         "J from the atoms along square contours of the given half size around the tip, each value of the mean over"
-        f" {table.interval} coupling steps, with its standard error; dotted over the domain inside. The legend has"
-        " the mean over time and its standard error. Dashed: from the displacement of the edges."
+        f" {table.interval} coupling steps, with its standard error as a band; dotted over the domain inside."
+        " Dashed: from the displacement of the edges."
     )
     return picture(figure, "J from the atoms", caption)
-
-
-def mean_and_error(values: FloatArray) -> tuple[float, float]:
-    """Return the mean of a series and the standard error of it, neighbours merged as long as there are eight."""
-    mean = float(np.mean(values))
-    largest = 0.0
-    blocks = values
-    while len(blocks) >= 2:
-        largest = max(largest, float(np.std(blocks, ddof=1) / np.sqrt(len(blocks))))
-        if len(blocks) < 16:
-            break
-        even = 2 * (len(blocks) // 2)
-        blocks = 0.5 * (blocks[0:even:2] + blocks[1:even:2])
-    return mean, largest
 
 
 def _tips(curves: Curves, scene: Scene) -> Picture | None:

@@ -15,7 +15,6 @@ from coordinator.grid_vtkhdf import write_grid
 from coordinator.report import make_report
 from coordinator.results import Results, ResultsWriter
 from coordinator.series import series_of
-from coordinator.series_figures import mean_and_error
 
 U = 1.66053906892e-27
 HEADER = {
@@ -147,16 +146,6 @@ def test_series_of_j_have_units_and_words() -> None:
     assert series_of("j_contour_error_12").description == "standard error of J along contour 12"
     assert series_of("j_tip").unit == "m"
     assert series_of("j_other_1").unit == ""
-
-
-def test_mean_of_a_series_and_its_error_grow_with_correlation() -> None:
-    rng = np.random.default_rng(3)
-    white = rng.normal(2.0, 1.0, 4096)
-    mean, error = mean_and_error(white)
-    assert mean == pytest.approx(white.mean()) and 0.9 / 64 < error < 1.7 / 64
-    # Each value four times: a quarter of the information, twice the error.
-    assert mean_and_error(np.repeat(white[:1024], 4))[1] == pytest.approx(1.0 / 32, rel=0.5)
-    assert mean_and_error(np.array([1.5])) == (1.5, 0.0)
 
 
 def test_the_report_draws_j_over_time(tmp_path: Path) -> None:
