@@ -47,6 +47,9 @@ __all__ = [
     "CollectRequest",
     "Collecting",
     "CrackCut",
+    "CutRequest",
+    "DisplaceRequest",
+    "Displaced",
     "Drift",
     "Ensemble",
     "EquilibrateRequest",
@@ -60,6 +63,7 @@ __all__ = [
     "PropertiesRequest",
     "Sample",
     "SampleFile",
+    "Severed",
 ]
 
 ByteArray = NDArray[np.uint8]
@@ -105,6 +109,11 @@ class AtomisticConfigure(Message):
     )
     commands: ForceFieldCommands | None = Field(
         default=None, description="the force field, where it is none of the service's", json_schema_extra=since(1, 2)
+    )
+    keep: list[Point2] = Field(
+        default_factory=list,
+        description="[m] corners of a simple polygon; atoms outside it are left out; absent: all stay",
+        json_schema_extra=since(1, 3),
     )
 
     @model_validator(mode="after")
@@ -286,6 +295,9 @@ class AtomisticAdvanced(Message):
         description="[s] of the forces, the longest of all IVCs; absent: not known",
         json_schema_extra=since(1, 2),
     )
+    momentum: Point3 | None = Field(
+        default=None, description="[kg m/s] of all atoms; absent: not known", json_schema_extra=since(1, 3)
+    )
     broken_bonds: Natural = Field(description="bonds of the unloaded sample that are broken now")
     crack_tip: Finite | None = Field(
         default=None, description="[m] x of the tip by connectivity; absent without a crack"
@@ -354,3 +366,44 @@ class JIntegral(Message):
     domain_error: Annotated[FloatArray, ArraySpec("<f8", ("contours",), "J/m^2")] = Field(
         description="of `domain`, likewise"
     )
+
+
+class DisplaceRequest(Message):
+    """Move all atoms and all anchors at once, as a load does that is there from the start.
+
+    Velocities, the reference force and all counters stay; the energy that it puts into the atoms is no work of
+    the anchors.
+    """
+
+    displacement: Annotated[FloatArray, ArraySpec("<f8", ("atoms", 3), "m")] = Field(
+        description="added to the position of each atom, rows as in `configured`"
+    )
+    anchor_position: Annotated[FloatArray, ArraySpec("<f8", ("anchors", 3), "m")] = Field(
+        description="where the anchors are after it, rows as in `register`"
+    )
+
+
+class Displaced(Message):
+    """The atoms are at their new places."""
+
+    step: Natural = Field(description="step counter of the solver")
+
+
+class CutRequest(Message):
+    """Sever the atoms along a line: those on one side no longer act on those on the other.
+
+    The line lies at height `y` from `from_x` to `to_x` in the undeformed sample. It may begin where an earlier
+    cut, or the crack of the sample, ended. `crack_tip` goes on from its end.
+    """
+
+    from_x: Finite = Field(description="[m] where the line begins; left of all atoms: it cuts through the edge")
+    to_x: Finite = Field(description="[m] where it ends, right of `from_x`")
+    y: Finite = Field(description="[m] its height, between rows of atoms")
+
+
+class Severed(Message):
+    """The atoms are severed."""
+
+    step: Natural = Field(description="step counter of the solver")
+    bonds: Natural = Field(description="bonds of the unloaded sample that the line crosses")
+    energy: float = Field(description="[J] change of the potential energy at that moment")

@@ -16,6 +16,7 @@ from protocol.continuum_parts import (
     CrackTip,
     EdgeAbsorbing,
     EdgeCondition,
+    EdgeKField,
     EdgePressure,
     EdgeSymmetry,
     EdgeTraction,
@@ -23,10 +24,12 @@ from protocol.continuum_parts import (
     GridLevel,
     IsotropicMaterial,
     J2PlasticityMaterial,
+    KField,
     Material,
     NeoHookeanMaterial,
     OrthotropicMaterial,
     Overlap,
+    OverlapRegion,
     Preload,
     Rectangle,
     Relaxation,
@@ -39,6 +42,7 @@ from protocol.messages import (
     Message,
     Natural,
     NonNegative,
+    Point2,
     Positive,
     check_indices,
     since,
@@ -55,11 +59,14 @@ __all__ = [
     "ContinuumEvent",
     "ContinuumRegister",
     "ContinuumRegistered",
+    "CrackExtended",
+    "CrackExtension",
     "CrackGrowth",
     "CrackLine",
     "CrackTip",
     "EdgeAbsorbing",
     "EdgeCondition",
+    "EdgeKField",
     "EdgePressure",
     "EdgeSymmetry",
     "EdgeTraction",
@@ -67,10 +74,12 @@ __all__ = [
     "GridLevel",
     "IsotropicMaterial",
     "J2PlasticityMaterial",
+    "KField",
     "Material",
     "NeoHookeanMaterial",
     "OrthotropicMaterial",
     "Overlap",
+    "OverlapRegion",
     "Preload",
     "Rectangle",
     "Relaxation",
@@ -120,12 +129,34 @@ class ContinuumConfigure(Message):
     preload: Preload | None = Field(
         default=None, description="absent: the run starts as it is configured", json_schema_extra=since(1, 1)
     )
+    overlaps: list[OverlapRegion] = Field(
+        default_factory=list,
+        description="rings that do not meet each other; for one between rectangles `overlap` says the same",
+        json_schema_extra=since(1, 3),
+    )
+    initial_field: KField | None = Field(
+        default=None,
+        description="the body starts with these displacements, their strain and their stress; where there is also"
+        " `preload`, that starts from them",
+        json_schema_extra=since(1, 3),
+    )
+    probe_position: Annotated[FloatArray, ArraySpec("<f8", ("probes", 3), "m")] | None = Field(
+        default=None,
+        description="places in the undeformed body, holes included, whose displacement at the start is wanted",
+        json_schema_extra=since(1, 3),
+    )
     on_lost_points: Literal["continue", "stop"] = Field(
         default="continue",
         description="`stop`: a point that leaves the grid ends the `advance` as `solver_failed`",
         json_schema_extra=since(1, 1),
     )
     time_step: Positive = Field(description="[s] step of `advance`")
+
+    @model_validator(mode="after")
+    def _one_kind_of_overlap(self) -> Self:
+        if self.overlap is not None and self.overlaps:
+            raise wrong("overlaps", "is given beside overlap; give one of the two")
+        return self
 
     @model_validator(mode="after")
     def _levels_are_nested(self) -> Self:
@@ -155,6 +186,11 @@ class ContinuumConfigured(Message):
     weight: Annotated[FloatArray, ArraySpec("<f8", ("points",))] = Field(
         description="`overlap.weight` for points in the ring, 1 elsewhere, the mean over its domain for a point across"
     )
+    probe_displacement: Annotated[FloatArray, ArraySpec("<f8", ("probes", 3), "m")] | None = Field(
+        default=None,
+        description="of `probe_position` by `initial_field` and `preload`, 0 without both; absent without probes",
+        json_schema_extra=since(1, 3),
+    )
 
 
 class ContinuumRegister(Message):
@@ -171,6 +207,11 @@ class ContinuumRegister(Message):
     )
     ivc_upper: Annotated[FloatArray, ArraySpec("<f8", ("ivcs", 3), "m")] = Field(
         description="upper corners, above the lower ones in x and y"
+    )
+    anchor_displacement: Annotated[FloatArray, ArraySpec("<f8", ("anchors", 3), "m")] | None = Field(
+        default=None,
+        description="that the anchors have already, as the body around them has; absent: none",
+        json_schema_extra=since(1, 3),
     )
 
     @model_validator(mode="after")
@@ -217,7 +258,7 @@ class ContinuumAdvanced(Message):
 
     step: Natural = Field(description="steps since `configure`")
     anchor_displacement: Annotated[FloatArray, ArraySpec("<f8", ("anchors", 3), "m")] = Field(
-        description="since `register`"
+        description="since `register`, plus what `register` gave"
     )
     anchor_velocity: Annotated[FloatArray, ArraySpec("<f8", ("anchors", 3), "m/s")] = Field(
         description="displacement of the last step over the time step"
@@ -243,6 +284,15 @@ class ContinuumAdvanced(Message):
         description="[J] energy taken by plastic flow and by friction of crack faces since the start",
         json_schema_extra=since(1, 1),
     )
+    filter_loss: Finite | None = Field(
+        default=None,
+        description="[J] kinetic energy that the way from points to grid and back took since the start; absent: not"
+        " known",
+        json_schema_extra=since(1, 3),
+    )
+    momentum: Point2 | None = Field(
+        default=None, description="[kg m/s] of the material points; absent: not known", json_schema_extra=since(1, 3)
+    )
     points_lost: Natural = Field(description="points that left the grid since the start")
     tips: list[CrackTip] = Field(
         default_factory=list, description="crack tips inside the body", json_schema_extra=since(1, 1)
@@ -250,3 +300,24 @@ class ContinuumAdvanced(Message):
     events: list[ContinuumEvent] = Field(
         default_factory=list, description="what happened in these steps, in order", json_schema_extra=since(1, 1)
     )
+
+
+class CrackExtension(Message):
+    """Let a crack go on along given corners, whatever its growth law says.
+
+    The first corner is beyond the tip as it is now; the line from the tip to it and on through all corners is new
+    crack. It may pass through the hole of an overlap, where there is no continuum.
+    """
+
+    crack: Natural = Field(description="row of the crack in `cracks` of `configure`")
+    end: Literal[0, 1] = Field(description="0: at the first point of the line, 1: at its last")
+    points: list[Point2] = Field(
+        min_length=1, description="[m] corners in the undeformed body; the last is the new tip"
+    )
+
+
+class CrackExtended(Message):
+    """The tips now."""
+
+    step: Natural = Field(description="steps since `configure`")
+    tips: list[CrackTip] = Field(description="crack tips inside the body")

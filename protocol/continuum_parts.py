@@ -21,7 +21,7 @@ from protocol.messages import (
 )
 from protocol.version import Version
 
-_V1_1 = Version(1, 1)
+_V1_1, _V1_3 = Version(1, 1), Version(1, 3)
 Poisson = Annotated[float, Field(gt=-1, lt=0.5, allow_inf_nan=False)]
 Edge = Literal["left", "right", "bottom", "top"]
 
@@ -59,6 +59,25 @@ class Overlap(Part):
             if self.inner.lower[axis] < self.outer.lower[axis] or self.inner.upper[axis] > self.outer.upper[axis]:
                 raise wrong("inner", f"reaches beyond outer along {'xy'[axis]}")
         return self
+
+
+class OverlapRegion(Part):
+    """Where continuum and atoms overlap: a ring between two simple polygons, of any shape.
+
+    No continuum is modelled inside `inner`. In the ring, stiffness and mass of the continuum are both scaled by
+    a weight: `constant` is `weight` everywhere; the others go from `weight` at `inner` to 1 at `outer`, with
+    s = d_inner / (d_inner + d_outer) from the distances to the two polygons: weight + (1 - weight) p(s),
+    p = s (`linear`) or 3 s^2 - 2 s^3 (`cubic`). A material point takes the mean over its domain.
+    """
+
+    added_in = _V1_3
+
+    inner: list[Point2] = Field(min_length=3, description="[m] corners in order; atoms only inside")
+    outer: list[Point2] = Field(min_length=3, description="[m] corners in order; holds `inner`; continuum only outside")
+    weight: float = Field(gt=0, le=1, description="[1] factor on stiffness and mass of the continuum at `inner`")
+    profile: Literal["constant", "linear", "cubic"] = Field(
+        default="constant", description="how the factor goes from `inner` to `outer`"
+    )
 
 
 # --- numerical scheme ----------------------------------------------------------------------------------------------
@@ -244,6 +263,37 @@ class EdgePressure(_Table):
         return self
 
 
+class KField(Part):
+    """Displacements around a crack tip in an infinite elastic body (the singular term of Williams).
+
+    Plane stress or plane strain as the problem has it, for an isotropic material.
+    """
+
+    added_in = _V1_3
+
+    tip: Point2 = Field(description="[m] x, y of the tip in the undeformed body")
+    k_1: Finite = Field(description="[Pa m^0.5] stress intensity, opening")
+    k_2: Finite = Field(default=0.0, description="[Pa m^0.5] the same, sliding")
+    angle: Finite = Field(default=0.0, description="[rad] from x to the direction in which the crack would grow")
+
+
+class EdgeKField(_Table):
+    """Both displacements of one edge follow a crack-tip field times a factor over time."""
+
+    added_in = _V1_3
+
+    kind: Literal["k_field"] = Field(default="k_field", description="what is prescribed")
+    edge: Edge = Field(description="edge of `body`")
+    field: KField = Field(description="at a factor of 1")
+    times: list[Finite] = Field(min_length=1, description="[s] ascending; constant before the first, after the last")
+    factors: list[Finite] = Field(min_length=1, description="[1] one for each of `times`")
+
+    @model_validator(mode="after")
+    def _is_a_table(self) -> Self:
+        self._check_table("factors")
+        return self
+
+
 class EdgeAbsorbing(Part):
     """The edge lets waves leave: dashpots of the material's impedance, normal and tangential."""
 
@@ -259,8 +309,9 @@ AnyEdge = Annotated[
     | Annotated[EdgeSymmetry, Tag(mark("symmetry"))]
     | Annotated[EdgeTraction, Tag(mark("traction"))]
     | Annotated[EdgePressure, Tag(mark("pressure"))]
-    | Annotated[EdgeAbsorbing, Tag(mark("absorbing"))],
-    told_apart_by("kind", "displacement", "velocity", "symmetry", "traction", "pressure", "absorbing"),
+    | Annotated[EdgeAbsorbing, Tag(mark("absorbing"))]
+    | Annotated[EdgeKField, Tag(mark("k_field"))],
+    told_apart_by("kind", "displacement", "velocity", "symmetry", "traction", "pressure", "absorbing", "k_field"),
 ]
 
 
@@ -280,16 +331,21 @@ class BodyForce(_Table):
 
 
 class Preload(Part):
-    """Kinetic relaxation before the first step: all velocities are set to zero at each peak of kinetic energy.
+    """Equilibrium before the first step, with loads and edges held at their values of time zero.
 
-    Loads and edges are held at their values of time zero. It ends when the residual, the norm of the out-of-balance
-    nodal forces over that of the forces that act, is at most `tolerance`.
+    `relaxation` is kinetic: all velocities are set to zero at each peak of kinetic energy. `static` solves for the
+    grid's displacements by Newton's method. Both end when the residual, the norm of the out-of-balance nodal forces
+    over that of the forces that act, is at most `tolerance`. With overlaps it is the whole body that is brought to
+    equilibrium, without holes and with full weight, as if there were no atoms; the points then start from its state.
     """
 
     added_in = _V1_1
 
     tolerance: Annotated[Positive, Field(lt=1)] = Field(description="[1] residual to reach")
-    max_steps: Count = Field(description="steps after which it ends without having reached it")
+    max_steps: Count = Field(description="steps (`static`: iterations) after which it ends without having reached it")
+    method: Literal["relaxation", "static"] = Field(
+        default="relaxation", description="how", json_schema_extra=since(1, 3)
+    )
 
 
 # --- cracks --------------------------------------------------------------------------------------------------------

@@ -24,7 +24,7 @@ from protocol.messages import (
 )
 from protocol.version import Version
 
-FIRST, ATOMS = Version(1, 0), Version(1, 2)
+FIRST, ATOMS, COUPLING = Version(1, 0), Version(1, 2), Version(1, 3)
 ANY = frozenset({"new", "configured", "registered", "ready", "failed"})
 CONFIGURED = frozenset({"configured", "registered", "ready"})
 REGISTERED = frozenset({"registered", "ready"})
@@ -90,6 +90,9 @@ ROLES: dict[str, Role] = {
                 "configure": Operation(c.ContinuumConfigure, c.ContinuumConfigured, ANY, "configured", 120.0),
                 "register": Operation(c.ContinuumRegister, c.ContinuumRegistered, CONFIGURED, "ready", 120.0),
                 "advance": Operation(c.ContinuumAdvance, c.ContinuumAdvanced, CONFIGURED, "ready", 600.0),
+                "extend_crack": Operation(
+                    c.CrackExtension, c.CrackExtended, CONFIGURED, None, 120.0, since=COUPLING, optional=True
+                ),
                 "fields": Operation(FieldsRequest, FieldsReply, CONFIGURED),
                 "checkpoint": Operation(Empty, CheckpointReply, CONFIGURED, "ready", 120.0),
                 "restore": Operation(RestoreRequest, Restored, CONFIGURED, "ready", 120.0),
@@ -117,6 +120,10 @@ ROLES: dict[str, Role] = {
                 "j_integral": Operation(
                     a.JIntegralRequest, a.JIntegral, READY, None, 600.0, since=ATOMS, optional=True
                 ),
+                "displace": Operation(
+                    a.DisplaceRequest, a.Displaced, READY, "ready", 120.0, since=COUPLING, optional=True
+                ),
+                "cut": Operation(a.CutRequest, a.Severed, READY, "ready", 120.0, since=COUPLING, optional=True),
                 "checkpoint": Operation(Empty, CheckpointReply, READY, "ready", 120.0),
                 "restore": Operation(RestoreRequest, Restored, REGISTERED, "ready", 120.0),
                 "status": Operation(Empty, Status, ANY, deadline=5.0),
