@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coordinator.atomistic_request import grid_request
+from coordinator.atomistic_request import crack_cut, grid_request
 from coordinator.atomistic_tables import Fields, JIntegral
+from coordinator.region import Region
 from coordinator.scene import Scene
+from coordinator.series import series_name
 from protocol import atomistic as a
 from protocol.arrays import FloatArray
-from protocol.client import Client
 from protocol.errors import ProtocolError
 from protocol.messages import FieldsReply, FieldsRequest
 
@@ -60,9 +61,10 @@ class AtomMeasurements:
     Parameters
     ----------
     scene : Scene
-    client : Client
-    position : float64 array, shape (atoms, 3)
-        Of the sample as built, m.
+    region : Region
+        Configured.
+    alone : bool
+        Whether it is the only region of the scene; else the names of its series end with its own.
 
     Attributes
     ----------
@@ -70,10 +72,13 @@ class AtomMeasurements:
         What a user should know.
     """
 
-    def __init__(self, scene: Scene, client: Client, position: FloatArray) -> None:
+    def __init__(self, scene: Scene, region: Region, alone: bool = True) -> None:
         self.notes: list[str] = []
         self._scene = scene
-        self._client = client
+        self._region = region
+        self._alone = alone
+        self._client = region.client
+        position = region.own_reference
         self._grid = grid_request(scene, position.min(axis=0), position.max(axis=0))
 
     def take(self, step: int, values: dict[str, float]) -> MeasuredFields | None:
@@ -86,14 +91,15 @@ class AtomMeasurements:
         if fields is not None and step % fields.interval == 0:
             measured = self._fields(fields, step)
         if j is not None and step % j.interval == 0:
-            values.update(self._j(j, step))
+            found = self._j(j, step)
+            values.update({series_name(name, self._region.name, self._alone): value for name, value in found.items()})
         elif measured is not None:
             self._client.call("collect_fields", a.CollectRequest(active=True), a.Collecting, step=step)
         return measured
 
     def _j(self, table: JIntegral, step: int) -> dict[str, float]:
-        crack = self._scene.crack
-        tip = (crack.tip_x, crack.y) if crack is not None and table.tip == "start" else None
+        cut = crack_cut(self._scene, self._region.frame) if table.tip == "start" else None
+        tip = None if cut is None else (cut.tip_x, cut.y)
         request = a.JIntegralRequest(half_sizes=table.half_sizes, tip=tip)
         try:
             found = self._client.call("j_integral", request, a.JIntegral, step=step)
@@ -104,7 +110,7 @@ class AtomMeasurements:
             if not self.notes:
                 self.notes.append(f"J is not measured from step {step} on: {error.report.sentence}")
             return {}
-        values: dict[str, float] = {"j_tip": found.tip[0]}
+        values: dict[str, float] = {"j_tip": self._region.frame.x_to_scene(found.tip[0])}
         for contour in range(len(table.half_sizes)):
             values[f"j_contour_{contour}"] = float(found.contour[contour])
             values[f"j_contour_error_{contour}"] = float(found.standard_error[contour])
@@ -120,4 +126,5 @@ class AtomMeasurements:
         if self._grid is None:
             return MeasuredFields(atoms, None, {})
         reply = self._client.call("grid_fields", self._grid, a.GridFields, step=step)
-        return MeasuredFields(atoms, Grid(self._grid.origin, self._grid.spacing, self._grid.counts), reply.fields)
+        origin = self._region.frame.to_scene(np.array([self._grid.origin]))[0]
+        return MeasuredFields(atoms, Grid(tuple(origin), self._grid.spacing, self._grid.counts), reply.fields)

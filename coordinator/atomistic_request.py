@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 
 from coordinator.atomistic_tables import Atomistic
+from coordinator.frame import Frame
 from coordinator.handshake import HandshakeError
 from coordinator.interface import Interface
 from coordinator.scene import Scene
 from coordinator.scene_tables import Handshake
+from coordinator.table import Point
 from coordinator.units import LENGTHS, readable
 from protocol import atomistic as a
 from protocol.arrays import FloatArray, IntArray
@@ -19,12 +21,18 @@ from protocol.arrays import FloatArray, IntArray
 FEWEST_WINDOWS = 8
 
 
-def configure_request(scene: Scene, lattice_constant: float | None) -> a.AtomisticConfigure:
-    """Return the whole atomistic problem of a scene.
+def configure_request(
+    scene: Scene, frame: Frame, lattice_constant: float | None, keep: list[Point]
+) -> a.AtomisticConfigure:
+    """Return the whole atomistic problem of one region of a scene.
 
     Parameters
     ----------
     scene : Scene
+    frame : Frame
+        Where the sample lies.
+    keep : list of tuple of float
+        Polygon that holds the atoms, in the sample's frame, m; empty: all stay.
     lattice_constant : float or None
         As it was measured at the temperature of the run, m; None for that of the force field.
 
@@ -35,7 +43,7 @@ def configure_request(scene: Scene, lattice_constant: float | None) -> a.Atomist
     """
     table = scene.atomistic
     assert table is not None
-    crack = a.CrackCut(tip_x=scene.crack.tip_x, y=scene.crack.y) if scene.crack else None
+    crack = crack_cut(scene, frame)
     what: dict[str, Any]
     if table.sample is None:
         what = {
@@ -55,6 +63,7 @@ def configure_request(scene: Scene, lattice_constant: float | None) -> a.Atomist
         temperature=table.temperature,
         time_step=table.time_step,
         seed=scene.run.seed,
+        keep=keep,
         commands=None
         if own is None
         else a.ForceFieldCommands(unit_style=own.unit_style, atom_style=own.atom_style, commands=own.lines),
@@ -62,8 +71,29 @@ def configure_request(scene: Scene, lattice_constant: float | None) -> a.Atomist
     )
 
 
+def crack_cut(scene: Scene, frame: Frame) -> a.CrackCut | None:
+    """Return the crack of a scene as a sample has it from the start, in the sample's frame.
+
+    None where the scene has none, or its tip on that side lies outside the sample.
+    """
+    crack, table = scene.crack, scene.atomistic
+    if crack is None or table is None:
+        return None
+    tip = crack.start_x if frame.mirrored else crack.tip_x
+    if tip is None:
+        return None
+    x, y = frame.x_to_sample(tip), crack.y - frame.centre[1]
+    inside = abs(x) < 0.5 * table.width and abs(y) < 0.5 * table.height
+    return a.CrackCut(tip_x=x, y=y) if inside else None
+
+
 def register_request(
-    handshake: Handshake, atom_id: IntArray, position: FloatArray, interface: Interface, stiffness: FloatArray
+    handshake: Handshake,
+    atom_id: IntArray,
+    position: FloatArray,
+    interface: Interface,
+    stiffness: FloatArray,
+    damping_share: FloatArray,
 ) -> a.AtomisticRegister:
     """Return the anchors of a scene.
 
@@ -77,6 +107,8 @@ def register_request(
     interface : Interface
     stiffness : float64 array, shape (anchors,)
         N/m.
+    damping_share : float64 array, shape (anchors,)
+        Factor on the damper of each.
     """
     kinds = interface.anchor_kind
     return a.AtomisticRegister(
@@ -87,6 +119,7 @@ def register_request(
         damping_time=handshake.damping_time,
         # A service of an older protocol knows springs only.
         anchor_kind=kinds if (kinds != a.SPRING).any() else None,
+        damping_share=damping_share if handshake.damping_time is not None and (damping_share != 1.0).any() else None,
         motion=handshake.motion,
     )
 
@@ -96,6 +129,7 @@ def equilibrate_request(scene: Scene) -> a.EquilibrateRequest:
     table, handshake = scene.atomistic, scene.handshake
     assert table is not None and handshake is not None
     window = handshake.steps_per_exchange
+    assert window is not None  # chosen before
     bath = table.ensemble
     return a.EquilibrateRequest(
         steps=round(table.equilibration / table.time_step),
@@ -114,6 +148,7 @@ def equilibrate_request(scene: Scene) -> a.EquilibrateRequest:
 
 def advance_request(handshake: Handshake, position: FloatArray, velocity: FloatArray) -> a.AtomisticAdvance:
     """Return one exchange with the anchors at positions, m, moving with velocities, m/s; shapes (anchors, 3)."""
+    assert handshake.steps_per_exchange is not None  # chosen before
     return a.AtomisticAdvance(
         steps=handshake.steps_per_exchange,
         anchor_position=position,

@@ -79,6 +79,9 @@ class Atomistic(Table):
         default=False, strict=True, description="whether the equilibration may end before, once nothing drifts"
     )
     ensemble: Ensemble | None = Field(default=None, description="absent: the service's own choice")
+    hold: Time = Field(
+        default=0.0, description="time with the load of the preload held, anchors at rest, before the first step, s"
+    )
     reference: PositiveTime = Field(default=1e-12, description="averaging time of the reference force, s")
     j: JIntegral | None = Field(default=None, description="absent: J is not measured")
     fields: Fields | None = Field(default=None, description="absent: positions only")

@@ -7,7 +7,7 @@ import math
 from pydantic import TypeAdapter
 
 from coordinator.continuum_tables import CrackLine
-from coordinator.scene import Corners, Scene
+from coordinator.scene import Corners, Handshake, Scene
 from coordinator.units import LENGTHS, TIMES, readable
 from coordinator.wave_speed import wave_speed
 from protocol import continuum as c
@@ -143,7 +143,7 @@ def _atoms(scene: Scene) -> list[str]:
         f"{atomistic.width / _ANGSTROM:g} x {atomistic.height / _ANGSTROM:g} angstrom, {atomistic.temperature:g} K, "
         f"{atomistic.ranks} rank(s)",
         f"             {amount}step {atomistic.time_step * 1e15:g} fs, about {_duration(_atomistic_seconds(scene))}",
-        f"handshake    {handshake.width / _ANGSTROM:g} angstrom wide, M = {handshake.steps_per_exchange}, cells of "
+        f"handshake    {handshake.width / _ANGSTROM:g} angstrom wide, M {_exchange_length(handshake)}, cells of "
         f"{handshake.ivc_size / _ANGSTROM:g} angstrom, weight and stiffness "
         + ("by theory" if handshake.weight is None and handshake.stiffness is None else "by the scene"),
     ]
@@ -155,6 +155,12 @@ def _atoms(scene: Scene) -> list[str]:
         on = [*atomistic.fields.atoms, *([f"a grid of {_length(grid)}"] if grid is not None else [])]
         lines.append(f"fields       every {atomistic.fields.interval} steps: {', '.join(on)}")
     return lines
+
+
+def _exchange_length(handshake: Handshake) -> str:
+    if handshake.steps_per_exchange is not None:
+        return f"= {handshake.steps_per_exchange}"
+    return f"<= {handshake.most_steps_per_exchange}, for errors of at most {handshake.force_error:.3g} N"
 
 
 def _atoms_per_layer(scene: Scene) -> float:
@@ -170,7 +176,7 @@ def _atomistic_seconds(scene: Scene) -> float:
     atomistic, handshake = scene.atomistic, scene.handshake
     assert atomistic is not None and handshake is not None
     atoms = _atoms_per_layer(scene) * atomistic.layers
-    steps = scene.run.steps * handshake.steps_per_exchange
+    steps = scene.run.steps * (handshake.steps_per_exchange or handshake.most_steps_per_exchange)
     steps += round((atomistic.equilibration + atomistic.reference) / atomistic.time_step)
     return atoms * steps * _rate(find("atomistic", atomistic.backend), atomistic.force_field) / atomistic.ranks
 

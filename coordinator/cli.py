@@ -96,6 +96,19 @@ def run(
 
 @cli.command()
 @click.argument("scene", type=EXISTING_FILE)
+@click.option("--full-atomistic", is_flag=True, required=True, help="Against the whole body as atoms alone.")
+@click.option("--out", type=DIRECTORY, help="Folder of both runs. Default: runs/compare-SCENE.")
+@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change a value of the scene.")
+@click.option("--force", is_flag=True, help="However many atoms that are.")
+def compare(scene: Path, full_atomistic: bool, out: Path | None, overrides: tuple[str, ...], force: bool) -> None:
+    """Run a scene coupled and all-atom; tabulate error and cost."""
+    from coordinator.compare import compare_scene
+
+    compare_scene(scene, out or Path("runs") / f"compare-{scene.stem}", overrides=overrides, force=force)
+
+
+@cli.command()
+@click.argument("scene", type=EXISTING_FILE)
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change a value of the scene.")
 def check(scene: Path, overrides: tuple[str, ...]) -> None:
     """Validate a scene; say what would start, sizes, time steps and the estimated cost."""

@@ -18,6 +18,7 @@ from coordinator.units import (
     PositiveTime,
     Pressure,
     Rate,
+    StressIntensity,
     Time,
     Velocity,
     ZeroPressure,
@@ -40,6 +41,7 @@ EDGE_KINDS: dict[str, tuple[str, ...]] = {
     "traction": ("component", "times", "tractions"),
     "pressure": ("times", "pressures"),
     "absorbing": (),
+    "k_field": ("field", "times", "factors"),
 }
 Poisson = Annotated[float, Field(strict=True, gt=-1, lt=0.5)]
 
@@ -74,10 +76,21 @@ class Material(Table):
         return {"law": self.law, "density": self.density, **given}
 
 
+class KField(Table):
+    """Displacements around a crack tip in an infinite elastic body."""
+
+    tip: tuple[Length, Length] = Field(description="place of the tip, m")
+    k_1: StressIntensity = Field(description="stress intensity, opening, Pa m^0.5")
+    k_2: StressIntensity = Field(default=0.0, description="stress intensity, sliding, Pa m^0.5")
+    angle: Angle = Field(default=0.0, description="from x to the direction in which the crack would grow, rad")
+
+
 class Edge(Table):
     """What is prescribed on one edge of the body; values over time are linear between the rows of a table."""
 
-    kind: Literal["displacement", "velocity", "symmetry", "traction", "pressure", "absorbing"] = "displacement"
+    kind: Literal["displacement", "velocity", "symmetry", "traction", "pressure", "absorbing", "k_field"] = (
+        "displacement"
+    )
     edge: Literal["left", "right", "bottom", "top"]
     component: Literal["x", "y"] | None = None
     times: list[Time] | None = Field(default=None, min_length=1, description="s, ascending; constant after the last")
@@ -87,6 +100,8 @@ class Edge(Table):
         default=None, min_length=1, description="force per reference area along `component`, Pa"
     )
     pressures: list[Pressure] | None = Field(default=None, min_length=1, description="positive pushes inwards, Pa")
+    field: KField | None = Field(default=None, description="displacements at a factor of 1")
+    factors: list[Number] | None = Field(default=None, min_length=1, description="of the field, one for each of times")
 
     @property
     def axis(self) -> int:
@@ -101,7 +116,7 @@ class Edge(Table):
     @property
     def moves(self) -> bool:
         """Whether the edge's motion is prescribed."""
-        return self.kind in ("displacement", "velocity", "symmetry")
+        return self.kind in ("displacement", "velocity", "symmetry", "k_field")
 
     @property
     def first_velocity(self) -> float:
@@ -128,6 +143,8 @@ class Edge(Table):
         values = {name: getattr(self, name) for name in EDGE_KINDS[self.kind]}
         if "component" in values:
             values["component"] = self.axis
+        if self.field is not None:
+            values["field"] = self.field.model_dump()
         return {"kind": self.kind, "edge": self.edge, **values}
 
 
@@ -157,7 +174,11 @@ class BodyForce(Table):
 
 
 class Preload(Table):
-    """Kinetic relaxation under the loads of time zero, before the first step."""
+    """Equilibrium of the whole body under the loads of time zero, before the first step."""
+
+    method: Literal["relaxation", "static"] = Field(
+        default="relaxation", description="kinetic relaxation, or Newton's method"
+    )
 
     tolerance: Annotated[float, Field(strict=True, gt=0, lt=1)] = Field(description="residual to reach, relative")
     max_steps: Count = Field(description="steps after which the run goes on without having reached it")
@@ -207,6 +228,7 @@ class Continuum(Table):
     edges: list[Edge] = Field(default=[], description="what is prescribed on edges")
     body_force: BodyForce | None = Field(default=None, description="absent: none")
     preload: Preload | None = Field(default=None, description="absent: the run starts unrelaxed")
+    initial_field: KField | None = Field(default=None, description="absent: the body starts undeformed")
     refinement: list[Refinement] = Field(default=[], description="finer levels, each inside the one before")
     cracks: list[CrackLine] = Field(default=[], description="cracks of the continuum beside [crack]")
 

@@ -1,17 +1,12 @@
-"""The M:1 coupling of one continuum and one atomistic service.
+"""Drives the services of one scene: builds both models, loads them, makes coupling steps.
 
-One step::
+::
 
-    continuum   advances one step Dt = M dt under the last reaction forces
-        |       anchor displacements and velocities (interpolated from the grid)
-        v
-    atomistic   sets its anchors there, holds them, integrates M steps
-        |       averaged reaction forces minus the reference (Eq 87), with their standard error
-        v
-    continuum   next step
+    configure    constants measured for the potential; samples, overlaps, grid; anchors and cells
+    equilibrate  atoms to temperature with anchors at rest, reference forces; the preload given to the atoms
+    advance      one coupling step (`coordinator.exchange`), its balances, the relay of cracks
 
-Nothing filters the forces on their way: any delay in this loop feeds energy in. A scene without atoms is
-the same loop without the exchange.
+A scene without atoms is the same without what concerns them.
 """
 
 from __future__ import annotations
@@ -20,27 +15,22 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from pydantic import TypeAdapter
 
 from coordinator.atom_measurements import AtomMeasurements, MeasuredFields
-from coordinator.atomistic_request import (
-    advance_request,
-    check_extent,
-    configure_request,
-    equilibrate_request,
-    register_request,
-)
-from coordinator.continuum_request import continuum_request
-from coordinator.handshake import Handshake, choose
-from coordinator.interface import Interface, build_interface
-from coordinator.scene import Corners, Scene
-from coordinator.series import TIP_SERIES
-from coordinator.strip import strip_j
+from coordinator.books import Books
+from coordinator.continuum_request import continuum_request, elastic_constants, material_of, thickness_of
+from coordinator.crack_passage import CrackPassage
+from coordinator.exchange import Exchange
+from coordinator.exchange_length import choose_steps_per_exchange
+from coordinator.region import Region
+from coordinator.scene import Scene
+from coordinator.series import series_name
+from coordinator.step_values import atom_values, boundary_values, continuum_values, regions_values, tip_values
+from coordinator.wave_speed import courant_number, sub_steps
 from protocol import atomistic as a
 from protocol import continuum as c
 from protocol.arrays import FloatArray
 from protocol.client import Client
-from protocol.continuum import Rectangle
 from protocol.messages import CheckpointReply, FieldsReply, FieldsRequest, Restored, RestoreRequest
 
 
@@ -55,13 +45,13 @@ class StepRecord:
     ivc_force, ivc_error : float64 array, shape (ivcs, 3), or None
         Averaged reaction on the continuum and its standard error, N.
     warnings : list of str
-        Of the atomistic service.
+        Of the atomistic services.
     events : list of ContinuumEvent
-        Of the continuum.
+        Of the continuum and of the relay.
     tips : list of CrackTip
         Of the continuum.
-    measured : MeasuredFields or None
-        Fields of the atoms, at steps where the scene asks for them.
+    measured : list of MeasuredFields or None
+        Fields of the atoms of each region, at steps where the scene asks for them.
     """
 
     values: dict[str, float]
@@ -70,7 +60,7 @@ class StepRecord:
     warnings: list[str] = field(default_factory=list)
     events: list[c.ContinuumEvent] = field(default_factory=list)
     tips: list[c.CrackTip] = field(default_factory=list)
-    measured: MeasuredFields | None = None
+    measured: list[MeasuredFields | None] = field(default_factory=list)
 
 
 class Coupling:
@@ -80,70 +70,92 @@ class Coupling:
     ----------
     scene : Scene
     continuum : Client
-    atomistic : Client or None
-        None for a scene without atoms.
+    atomistic : dict of str to Client
+        By name of the region; empty for a scene without atoms.
     properties : Properties, optional
         Constants measured before (of a run that is resumed); measured anew without.
+    steps_per_exchange : int, optional
+        M as it was chosen before (likewise).
     tell : callable, optional
         Told in words what is being prepared.
+
+    Attributes
+    ----------
+    scene : Scene
+        With M as chosen, from `configure` on.
+    regions : list of Region
     """
 
     def __init__(
         self,
         scene: Scene,
         continuum: Client,
-        atomistic: Client | None,
+        atomistic: dict[str, Client],
         properties: a.Properties | None = None,
+        steps_per_exchange: int | None = None,
         tell: Callable[[str], None] = lambda _: None,
     ) -> None:
-        self.scene = scene
+        self.scene = scene if steps_per_exchange is None else scene.with_steps_per_exchange(steps_per_exchange)
         self.step = 0
         self.properties = properties
-        self.interface: Interface | None = None
-        self.handshake: Handshake | None = None
-        self.equilibrated: a.Equilibrated | None = None
+        self.regions = [Region(self.scene, place, atomistic[place.name]) for place in scene.places]
+        self.equilibrated: list[a.Equilibrated] = []
         self.warnings: list[str] = []
-        self.measurements: AtomMeasurements | None = None
-        self.atom_id = np.zeros(0, dtype=np.int64)
-        self.atom_mass = np.zeros(0)
-        self.atom_position = np.zeros((0, 3))
+        self.measurements: list[AtomMeasurements] = []
         self._continuum = continuum
-        self._atomistic = atomistic
         self._tell = tell
-        self._reaction: FloatArray | None = None
-        self._start_energy: float | None = None
-        self._start_tip: float | None = None
-        self._start_length: dict[int, float] = {}
+        self._books = Books()
+        self._passages: list[CrackPassage] = []
+        self._start_energy: FloatArray | None = None
+        self._start_length: dict[str, float] = {}
+        self._reference_force: FloatArray | None = None
+        self._probe_displacement: list[FloatArray] = []
 
     # --- preparation -------------------------------------------------------------------------------------
 
     def configure(self) -> None:
         """Measure constants, build both models, place anchors and cells; nothing has moved yet."""
-        if self._atomistic is not None and self.properties is None and self.scene.continuum.material is None:
+        if self.regions and self.properties is None and self.scene.continuum.material is None:
             self._measure_properties()
-        if self._atomistic is not None:
-            self._configure_atoms(self._atomistic)
+        if self.regions:
+            self._configure_atoms()
         self._configure_continuum()
-        if self.interface is not None and self._atomistic is not None:
-            self._register(self._atomistic, self.interface)
+        if self.regions:
+            self._register()
 
     def equilibrate(self) -> None:
-        """Bring the atoms to temperature and measure the reference forces, anchors at rest."""
-        if self._atomistic is None or self.scene.atomistic is None or self.scene.handshake is None:
+        """Bring the atoms to temperature, measure the reference forces, give them the preload."""
+        if not self.regions:
             return
         self._tell("equilibrate atoms, measure reference forces")
-        if self.scene.atomistic.collects:
-            # On before the reference is measured: J counts from the energies and stresses without load.
-            self._atomistic.call("collect_fields", a.CollectRequest(active=True), a.Collecting)
-        self.equilibrated = self._atomistic.call("equilibrate", equilibrate_request(self.scene), a.Equilibrated)
-        if self.equilibrated.settled is False:
-            self.warnings.append(_unsettled(self.equilibrated))
+        self.equilibrated = [region.equilibrate() for region in self.regions]
+        for how in self.equilibrated:
+            if how.settled is False:
+                self.warnings.append(_unsettled(how))
+        self._reference_force = _reference_force(self.equilibrated)
+        if self._preloaded:
+            self._load_atoms()
+
+    @property
+    def material(self) -> c.Material:
+        """Material of the continuum: the scene's, or the constants measured for the potential."""
+        return material_of(self.scene, self.properties)
+
+    @property
+    def thickness(self) -> float:
+        """Thickness of the continuum, m."""
+        return thickness_of(self.scene, self.properties)
+
+    @property
+    def _preloaded(self) -> bool:
+        continuum = self.scene.continuum
+        return bool(self.regions) and (continuum.preload is not None or continuum.initial_field is not None)
 
     def _measure_properties(self) -> None:
-        assert self._atomistic is not None and self.scene.atomistic is not None
         atomistic = self.scene.atomistic
+        assert atomistic is not None
         self._tell(f"measure {atomistic.material} constants at {atomistic.temperature:g} K")
-        self.properties = self._atomistic.call(
+        self.properties = self.regions[0].client.call(
             "properties",
             a.PropertiesRequest(
                 force_field=atomistic.force_field, material=atomistic.material, temperature=atomistic.temperature,
@@ -152,87 +164,28 @@ class Coupling:
             a.Properties,
         )  # fmt: skip
 
-    def _configure_atoms(self, client: Client) -> None:
-        scene = self.scene
-        assert scene.atomistic is not None and scene.handshake is not None
+    def _configure_atoms(self) -> None:
         self._tell("build atoms")
         measured = self.properties.lattice_constant if self.properties else None
-        built = client.call("configure", configure_request(scene, measured), a.AtomisticConfigured)
-        self.atom_id, self.atom_mass, self.atom_position = built.atom_id, built.atom_mass, built.position
-        self.measurements = AtomMeasurements(scene, client, built.position)
-        self.warnings += built.warnings
-        material = self._isotropic
-        assert material is not None  # held by the scene's checks
-        # The ring ends where the atoms do: continuum of small weight beyond the last atoms would be a soft gap.
-        low, high = built.position[:, :2].min(axis=0), built.position[:, :2].max(axis=0)
-        if scene.atomistic.sample is not None:
-            check_extent(scene.atomistic, scene.continuum.cell_size, low, high)
-        corners = scene.overlap(float(high[0] - low[0]), float(high[1] - low[1]))
-        assert corners is not None
-        inner, outer = _rectangle(corners[0]), Rectangle(lower=tuple(low), upper=tuple(high))
-        width = float(np.mean([np.subtract(inner.lower, low), np.subtract(high, inner.upper)]))
-        self.handshake = choose(
-            material.young,
-            material.density,
-            width,
-            scene.time_step,
-            damping_time=scene.handshake.damping_time,
-            weight=scene.handshake.weight,
-            stiffness_density=self._given_stiffness_density(built.atom_mass),
-        )
-        self.interface = build_interface(
-            built.position,
-            inner,
-            outer,
-            self.handshake.weight,
-            scene.handshake.ivc_size,
-            scene.crack.y if scene.crack else None,
-            scene.handshake.passive_width or 0.0,
-            scene.handshake.surface_width or 0.0,
-        )
-        self._anchor_stiffness = np.full(
-            len(self.interface.anchor), self.handshake.stiffness_density * self._volume_per_atom(built.atom_mass)
-        )
-
-    def _volume_per_atom(self, mass: FloatArray) -> float:
-        return float(mass.mean()) / self.material.density
-
-    def _given_stiffness_density(self, mass: FloatArray) -> float | None:
-        """Return the scene's stiffness per anchor as stiffness per volume: every atom of the overlap is anchored."""
-        given = self.scene.handshake.stiffness if self.scene.handshake else None
-        return None if given is None else given / self._volume_per_atom(mass)
-
-    @property
-    def material(self) -> c.Material:
-        """Material of the continuum: the scene's, or the constants measured for the potential."""
-        given = self.scene.continuum.material
-        if given is not None:
-            material: c.Material = TypeAdapter(c.Material).validate_python(given.constants())
-            return material
-        assert self.properties is not None  # held by the scene's checks
-        measured = self.properties
-        return c.IsotropicMaterial(young=measured.young, poisson=measured.poisson, density=measured.density)
-
-    @property
-    def _isotropic(self) -> c.IsotropicMaterial | None:
-        """Elastic constants at small strain, where one modulus and one ratio tell them."""
-        material = self.material
-        if isinstance(material, c.OrthotropicMaterial):
-            return None
-        return c.IsotropicMaterial(young=material.young, poisson=material.poisson, density=material.density)
-
-    @property
-    def thickness(self) -> float:
-        """Thickness of the continuum, m."""
-        given, measured, atoms = self.scene.continuum.material, self.properties, self.scene.atomistic
-        if given is not None:
-            return given.thickness
-        assert measured is not None and atoms is not None  # held by the scene's checks
-        return measured.thickness * atoms.layers
+        for region in self.regions:
+            self.warnings += region.configure(measured)
+            self.measurements.append(AtomMeasurements(self.scene, region, len(self.regions) == 1))
+        elastic = elastic_constants(self.material)
+        assert elastic is not None and self.scene.handshake is not None  # held by the scene's checks
+        if self.scene.handshake.steps_per_exchange is None:
+            steps, told = choose_steps_per_exchange(self.scene, self.regions, elastic, self._tell)
+            self.warnings += told
+            self.scene = self.scene.with_steps_per_exchange(steps)
+        for region in self.regions:
+            region.scene = self.scene
+            region.join(elastic, courant_number(self.scene, elastic))
 
     def _configure_continuum(self) -> None:
-        self._tell("relax continuum" if self.scene.continuum.preload else "build continuum")
-        request = continuum_request(self.scene, self.material, self.thickness, self.interface)
+        self._tell("bring continuum to equilibrium" if self.scene.continuum.preload else "build continuum")
+        material = self.material
+        n = sub_steps(self.scene, material)
+        probes = [region.reference for region in self.regions] if self._preloaded else []
+        request = continuum_request(self.scene, material, self.thickness, self.regions, n, probes)
         self.configured = self._continuum.call("configure", request, c.ContinuumConfigured)
         relaxed = self.configured.relaxation
         if relaxed is not None and not relaxed.converged:
@@ -240,149 +193,103 @@ class Coupling:
                 f"The preload ended after {relaxed.steps} steps with a residual of {relaxed.residual:.2g}, above"
                 " continuum.preload.tolerance: raise its max_steps."
             )
+        if probes and self.configured.probe_displacement is not None:
+            ends = np.cumsum([len(rows) for rows in probes])[:-1]
+            self._probe_displacement = np.split(self.configured.probe_displacement, ends)
+        table = self.scene.handshake
+        self._exchange = Exchange(
+            self._continuum, self.regions, self.scene.time_step, n,
+            spread=table.spread if table is not None else "anchor",
+            parallel=table is not None and table.scheme == "parallel",
+        )  # fmt: skip
+        self._passages = CrackPassage.of_scene(self.scene, self.regions, self._continuum)
 
-    def _register(self, atomistic: Client, interface: Interface) -> None:
-        handshake = self.scene.handshake
-        assert handshake is not None
+    def _register(self) -> None:
         self._tell("place anchors and interface volume cells")
-        self.anchor_reference = np.ascontiguousarray(self.atom_position[interface.anchor])
+        start = 0
+        ivc, lower, upper = [], [], []
+        for region in self.regions:
+            ivc.append(region.interface.anchor_ivc + start)
+            low, high = region.cells()
+            start += len(low)
+            lower.append(low)
+            upper.append(high)
+        displaced = None
+        if self._probe_displacement:
+            pairs = zip(self.regions, self._probe_displacement, strict=True)
+            displaced = np.concatenate([moved[region.interface.anchor] for region, moved in pairs])
+            self._exchange.start_at(displaced)
         self._continuum.call(
             "register",
             c.ContinuumRegister(
-                anchor_position=self.anchor_reference,
-                anchor_ivc=interface.anchor_ivc,
-                ivc_lower=interface.ivc_lower,
-                ivc_upper=interface.ivc_upper,
+                anchor_position=np.concatenate([region.anchor_reference for region in self.regions]),
+                anchor_ivc=np.concatenate(ivc),
+                ivc_lower=np.concatenate(lower),
+                ivc_upper=np.concatenate(upper),
+                anchor_displacement=displaced,
             ),
             c.ContinuumRegistered,
         )
-        atomistic.call(
-            "register",
-            register_request(handshake, self.atom_id, self.anchor_reference, interface, self._anchor_stiffness),
-            a.AtomisticRegistered,
-        )
+        for region in self.regions:
+            region.register()
+
+    def _load_atoms(self) -> None:
+        """Give the atoms the displacements of the preload, and let them come to rest under it."""
+        self._tell("load atoms")
+        for region, moved in zip(self.regions, self._probe_displacement, strict=True):
+            region.displace(moved)
+        table, handshake = self.scene.atomistic, self.scene.handshake
+        assert table is not None and handshake is not None and handshake.steps_per_exchange is not None
+        windows = round(table.hold / (handshake.steps_per_exchange * table.time_step))
+        for done in range(windows):
+            self._tell(f"hold load, {done + 1} of {windows}")
+            for reply in self._exchange.hold(0):
+                self.warnings += [text for text in reply.warnings if text not in self.warnings]
 
     # --- one step ----------------------------------------------------------------------------------------
 
     def advance(self) -> StepRecord:
         """Make one coupling step."""
-        by_ivc = self.scene.handshake is not None and self.scene.handshake.spread == "ivc"
-        continuum = self._continuum.call(
-            "advance",
-            c.ContinuumAdvance(
-                steps=1,
-                ivc_force=self._reaction if by_ivc else None,
-                anchor_force=None if by_ivc else self._reaction,
-            ),
-            c.ContinuumAdvanced,
-            step=self.step + 1,
-        )
-        values = {
-            "continuum_kinetic": continuum.kinetic_energy,
-            "continuum_strain": continuum.strain_energy,
-            "continuum_edge_work": continuum.edge_work,
-            "continuum_interface_work": continuum.interface_work,
-            "continuum_damping_loss": continuum.damping_loss,
-            "continuum_load_work": continuum.load_work,
-            "continuum_dissipated": continuum.dissipated_energy,
-            "points_lost": float(continuum.points_lost),
-            "courant": self.configured.courant_number,
-            **self._load(continuum),
-            **_tip_values(continuum.tips),
-        }
+        found = self._exchange.advance(self.step + 1)
         self.step += 1
-        if self._atomistic is None or self.interface is None or self.scene.handshake is None:
-            return StepRecord(values, events=continuum.events, tips=continuum.tips)
-        atoms = self._atomistic.call(
-            "advance",
-            advance_request(
-                self.scene.handshake,
-                self._anchor_start(continuum),
-                continuum.anchor_velocity,
-            ),
-            a.AtomisticAdvanced,
-            step=self.step,
-        )
-        self._reaction = atoms.ivc_force if by_ivc else atoms.anchor_force
-        values.update(self._exchange(atoms))
-        assert self.measurements is not None
-        frame = self.measurements.take(self.step, values)
-        return StepRecord(
-            values, atoms.ivc_force, atoms.ivc_standard_error, atoms.warnings, continuum.events, continuum.tips, frame
-        )
-
-    def _anchor_start(self, continuum: c.ContinuumAdvanced) -> FloatArray:
-        """Where the anchors begin the exchange: the continuum's place now, or one exchange back where they move."""
-        place = self.anchor_reference + continuum.anchor_displacement
-        if self.scene.handshake is not None and self.scene.handshake.motion == "linear":
-            place = place - self.scene.time_step * continuum.anchor_velocity
-        return place
-
-    def _load(self, continuum: c.ContinuumAdvanced) -> dict[str, float]:
-        """Return load measures of the first edge that pulls the body apart along y."""
-        scene = self.scene.continuum
-        found: dict[str, float] = {}
-        moved = {
-            (edge.edge, edge.axis): (continuum.edge_displacement[k], continuum.edge_force[k])
-            for k, edge in enumerate(scene.edges)
-            if edge.moves
-        }
-        top, bottom = moved.get(("top", 1)), moved.get(("bottom", 1))
-        if top is None or bottom is None:
-            return found
-        height = scene.upper[1] - scene.lower[1]
-        strain = float(top[0] - bottom[0]) / height
-        found["applied_strain"] = strain
-        found["edge_force"] = float(top[1])
-        elastic = self._isotropic
-        if self.scene.crack is not None and elastic is not None:
-            found["j_boundary"] = strip_j(
-                elastic, self.scene.continuum.assumption, strain, height, sideways_free=("top", 0) not in moved
-            )
-        return found
-
-    def _exchange(self, atoms: a.AtomisticAdvanced) -> dict[str, float]:
-        """Return balances and atomistic measures of a step."""
-        assert self.interface is not None
-        if self._start_energy is None:
-            self._start_energy = atoms.potential_energy
-        scale = np.abs(atoms.anchor_force).sum()
-        # Summed here from the anchors, so that a service's own sums are checked cell by cell.
-        cell, cells = self.interface.anchor_ivc, len(atoms.ivc_force)
-        by_cell = np.column_stack([np.bincount(cell, atoms.anchor_force[:, k], cells) for k in range(3)])
-        imbalance = np.abs(by_cell - atoms.ivc_force).max()
+        continuum, atoms = found.continuum, found.atoms
         values = {
-            "atomistic_potential": atoms.potential_energy - self._start_energy,
-            "atomistic_kinetic": atoms.kinetic_energy,
-            "spring_energy": atoms.spring_energy,
-            "anchor_work": atoms.anchor_work,
-            "temperature": atoms.temperature,
-            "handshake_temperature": atoms.handshake_temperature,
-            "force_sum_x": float(atoms.ivc_force[:, 0].sum()),
-            "force_sum_y": float(atoms.ivc_force[:, 1].sum()),
-            "force_balance": float(imbalance / scale) if scale > 0 else 0.0,
-            "ivc_force_rms": _rms(atoms.ivc_force[:, :2]),
-            "ivc_error_rms": _rms(atoms.ivc_standard_error[:, :2]),
-            "broken_bonds": float(atoms.broken_bonds),
-            "longest_bond": atoms.longest_bond,
+            **continuum_values(continuum),
+            "courant": self.configured.courant_number,
+            **boundary_values(self.scene, elastic_constants(self.material), continuum),
+            **tip_values(continuum.tips),
         }
-        if atoms.thermostat_work is not None:
-            values["thermostat_work"] = atoms.thermostat_work
-        if atoms.correlation_time is not None:
-            values["correlation_time"] = atoms.correlation_time
-        if self.scene.handshake is not None and self.scene.handshake.until_error is not None:
-            values["exchange_windows"] = float(atoms.windows)
-        if atoms.crack_tip is not None:
-            values["crack_tip"] = atoms.crack_tip
-            if self._start_tip is None:
-                self._start_tip = atoms.crack_tip
-        return values
+        events = list(continuum.events)
+        if not atoms:
+            values.update(self._books.enter(continuum, atoms, found.moved, None))
+            return StepRecord(values, events=events, tips=continuum.tips)
+        if self._start_energy is None:
+            self._start_energy = np.array([reply.potential_energy for reply in atoms])
+        for region, reply, start in zip(self.regions, atoms, self._start_energy, strict=True):
+            values.update(atom_values(self.scene, region, reply, float(start), alone=len(atoms) == 1))
+        values.update(regions_values(self.regions, atoms, self._start_energy))
+        values.update(self._books.enter(continuum, atoms, found.moved, self._reference_force))
+        measured = [one.take(self.step, values) for one in self.measurements]
+        for passage, reply in zip(self._passages, atoms, strict=False):
+            events += passage.follow(continuum, reply, self.step, values)
+        return StepRecord(
+            values,
+            np.concatenate([reply.ivc_force for reply in atoms]),
+            np.concatenate([reply.ivc_standard_error for reply in atoms]),
+            [warning for reply in atoms for warning in reply.warnings],
+            events,
+            continuum.tips,
+            measured,
+        )
 
     def crack_growth(self, record: StepRecord) -> float:
-        """Return how far a crack tip has moved since the start, m: the atoms', or the continuum's furthest."""
-        if self._start_tip is not None and "crack_tip" in record.values:
-            return record.values["crack_tip"] - self._start_tip
-        grown = [tip.length - self._start_length.setdefault(tip.crack, tip.length) for tip in record.tips]
+        """Return how far a crack tip has moved since the start, m: that of atoms, or the continuum's furthest."""
+        tips = {name: record.values[name] for name in record.values if name.split("@")[0] == "crack_tip"}
+        if tips and not any(passage.leg.propagate for passage in self._passages):
+            alone = len(self.regions) == 1
+            signs = {series_name("crack_tip", one.name, alone): one.frame.sign for one in self.regions}
+            return max(signs[name] * (x - self._start_length.setdefault(name, x)) for name, x in tips.items())
+        grown = [tip.length - self._start_length.setdefault(str(tip.crack), tip.length) for tip in record.tips]
         return max(grown, default=0.0)
 
     # --- fields and state --------------------------------------------------------------------------------
@@ -392,52 +299,57 @@ class Coupling:
         names = ["position", "displacement", "velocity", "stress", "weight"]
         return self._continuum.call("fields", FieldsRequest(names=names), FieldsReply).fields
 
-    def atom_fields(self) -> dict[str, np.ndarray]:
-        """Return fields of the atoms; empty for a scene without."""
-        if self._atomistic is None:
-            return {}
-        return self._atomistic.call("fields", FieldsRequest(names=["position", "velocity"]), FieldsReply).fields
+    def atom_positions(self) -> FloatArray | None:
+        """Return places of all atoms, region by region, shape (atoms, 3), m; None for a scene without."""
+        if not self.regions:
+            return None
+        return np.concatenate([region.positions() for region in self.regions])
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return the state of both services and of the loop, as flat named arrays."""
+        """Return the state of all services and of the loop, as flat named arrays."""
         found: dict[str, np.ndarray] = {"coupling.step": np.array([self.step])}
-        for role, client in self._clients():
+        for name, client in self._clients():
             reply = client.call("checkpoint", None, CheckpointReply, step=self.step)
-            found[f"coupling.{role}_step"] = np.array([reply.step])
-            found.update({f"{role}.{name}": array for name, array in reply.state.items()})
-        if self._reaction is not None:
-            found["coupling.reaction"] = self._reaction
-        start = (self._start_energy, self._start_tip)
-        found["coupling.start"] = np.array([np.nan if value is None else value for value in start])
-        lengths = self._start_length.items()
-        found["coupling.start_length"] = np.array([[float(crack), length] for crack, length in lengths]).reshape(-1, 2)
+            found[f"coupling.{name}_step"] = np.array([reply.step])
+            found.update({f"{name}.{key}": array for key, array in reply.state.items()})
+        found.update({f"exchange.{key}": array for key, array in self._exchange.state().items()})
+        found.update({f"books.{key}": array for key, array in self._books.state().items()})
+        found.update({f"passage.{k}": passage.state() for k, passage in enumerate(self._passages)})
+        if self._start_energy is not None:
+            found["coupling.start_energy"] = self._start_energy
+        if self.regions and self._reference_force is not None:
+            found["coupling.reference_force"] = self._reference_force
+        for key, value in self._start_length.items():
+            found[f"start_length.{key}"] = np.array([value])
         return found
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Set a state that `state` gave; both models are configured and registered before."""
+        """Set a state that `state` gave; all models are configured and registered before."""
         self.step = int(state["coupling.step"][0])
-        self._reaction = state.get("coupling.reaction")
-        energy, tip = (None if np.isnan(value) else float(value) for value in state["coupling.start"])
-        self._start_energy, self._start_tip = energy, tip
-        self._start_length = {int(crack): float(length) for crack, length in state["coupling.start_length"]}
-        for role, client in self._clients():
-            own = {name.split(".", 1)[1]: array for name, array in state.items() if name.startswith(role + ".")}
-            request = RestoreRequest(step=int(state[f"coupling.{role}_step"][0]), state=own)
+        self._exchange.restore(_part(state, "exchange"))
+        self._books.restore(_part(state, "books"))
+        for k, passage in enumerate(self._passages):
+            passage.restore(state[f"passage.{k}"])
+        self._start_energy = state.get("coupling.start_energy")
+        self._reference_force = state.get("coupling.reference_force")
+        self._start_length = {key: float(value[0]) for key, value in _part(state, "start_length").items()}
+        for name, client in self._clients():
+            request = RestoreRequest(step=int(state[f"coupling.{name}_step"][0]), state=_part(state, name))
             client.call("restore", request, Restored, step=self.step)
 
     def _clients(self) -> list[tuple[str, Client]]:
-        both = (("continuum", self._continuum), ("atomistic", self._atomistic))
-        return [(role, client) for role, client in both if client is not None]
+        return [("continuum", self._continuum), *((region.name, region.client) for region in self.regions)]
 
 
-def _tip_values(tips: list[c.CrackTip]) -> dict[str, float]:
-    """Return time series of the continuum's crack tips, named by crack and end."""
-    found: dict[str, float] = {}
-    for tip in tips:
-        values = {"x": tip.position[0], "y": tip.position[1], **{name: getattr(tip, name) for name in TIP_SERIES}}
-        start = f"tip_{tip.crack}_{tip.end}_"
-        found.update({start + name: value for name, value in values.items() if value is not None})
-    return found
+def _part(state: dict[str, np.ndarray], name: str) -> dict[str, np.ndarray]:
+    return {key.split(".", 1)[1]: array for key, array in state.items() if key.startswith(name + ".")}
+
+
+def _reference_force(equilibrated: list[a.Equilibrated]) -> FloatArray | None:
+    """Return the reference forces on all anchors, N; None where a service does not tell them."""
+    found = [how.reference_anchor_force for how in equilibrated]
+    known = [force for force in found if force is not None]
+    return np.concatenate(known) if len(known) == len(found) else None
 
 
 def _unsettled(how: a.Equilibrated) -> str:
@@ -447,11 +359,3 @@ def _unsettled(how: a.Equilibrated) -> str:
         worst = max(how.drifts, key=lambda item: abs(item.drift) / max(item.standard_error, 1e-300))
         sentence += f": {worst.quantity} drifts by {worst.drift:.3g} with an error of {worst.standard_error:.2g} (SI)"
     return f"{sentence}; raise atomistic.equilibration."
-
-
-def _rectangle(corners: Corners) -> Rectangle:
-    return Rectangle(lower=corners[0], upper=corners[1])
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))

@@ -1,36 +1,60 @@
-"""Weight of the continuum in the overlap, and stiffness of the anchors that goes with it.
+"""Weight of the continuum in the overlap, anchors' springs and dampers that go with it, and what is stable.
 
-Theory of two equal bars that overlap over a length L and are joined by springs of stiffness kappa per
-volume, the continuum bar scaled by a weight w in stiffness and mass alike. The far field is exact in
-statics where
+The smaller the mean weight m of the overlap, the less a wave is reflected (`coordinator.overlap_theory`); but the
+springs grow stiff on a light mass, and the exchange limits them. With Dt the coupling step, W the weight, omega^2 =
+kappa / (W rho) and tau the damping time of the atoms against their anchors, the terms
 
-    lambda w sinh(lambda) = 2 + (w + 1/w) cosh(lambda),    kappa = lambda^2 E / (L^2 (1 + 1/w)).
+    S = (Dt omega / 2)^2,    D = Dt / (2 W tau),    Q = (Dt Omega)^2 = (2 c Dt / h)^2
 
-A small weight reflects waves least, since the continuum is then a light carrier that hands the load
-over; but the springs grow stiff on a light mass, and the staggered exchange, which holds the anchors
-still over a coupling step Dt and applies the averaged force in the next, is stable only while
+are of springs, dampers, and the continuum's own fastest vibration on cells of size h. One step of a light node
+against atoms at rest shows where an exchange loses stability:
 
-    (Dt omega / 2)^2 + Dt / (2 w tau) < 1,    omega^2 = kappa / (w rho),
+serial    Anchors stand at u(n) while the atoms move, the mean force acts in the next continuum step:
+          v' = v - 4 S u / Dt - 2 D v,  u' = u + Dt v'.  An eigenvalue leaves the unit circle at -1 where S + D = 1.
+parallel  Both sides move at once, so the anchors stand where the continuum is predicted to be, u + Dt v + Dt (v - v")
+          with v" the velocity one step before, and the damper works against v. Eigenvalues leave at
+          exp(i pi/3) where 8 S + 2 D + Q = 1. Without the last term of the prediction it is unstable.
 
-where tau is the damping time of the atoms against their anchors (the second term is absent without
-damper). It follows from the map of one step of the light continuum against atoms at rest,
+The exchange number is the root of either sum. Without dampers the serial exchange is a symplectic splitting: motion of
+the atoms with the anchors frozen, which also kicks the continuum, then motion of the continuum. Below the limit it
+conserves a modified energy, so nothing grows.
 
-    v' = v - Dt (kappa u / (w rho) + v / (w tau)),    u' = u + Dt v',
+Where the continuum makes n steps in one exchange, the force acts as an impulse in the first: v + Dt F / m, then u drifts,
+which is the same map. Spread evenly over the steps it reaches the place half a step late: the determinant of the map is
+1 + 2 S (n - 1) / n, above 1, so it is unstable without dampers for any n > 1.
 
-whose eigenvalues leave the unit circle at -1 where the sum above reaches 1.
+Springs and dampers that follow the weight, kappa W and rho W / tau, have the same S and D everywhere and on any grid,
+since what spreads the springs' forces also spreads the mass. Then S^(1/2) = C c Dt / (m L) with C from 0.67 to 0.74
+whatever the profile; constant weight has C = 0.85 at 1, 2.3 at 0.2 and 4.2 at 0.1, since there the load passes in a
+layer of w^2 L. Hence the default: weight 0.05 rising to 1 with the largest exponent that is stable.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
-#: Largest exchange number that is used (theory: 1; without damper, measured in one dimension: 0.9).
+import numpy as np
+
+from coordinator.overlap_theory import exact_stiffness, scatter, static_error
+from coordinator.weight_profile import Kind, WeightProfile
+from protocol.arrays import FloatArray
+
+Scheme = Literal["serial", "parallel"]
+
+#: Largest exchange number that is used (theory: 1; measured without damper in one dimension: 0.9).
 STABILITY_LIMIT = 0.9
-#: Exchange number that the choice by theory aims at: on a grid the nodes at the border of the overlap carry
-#: less mass for their anchors than the mean, and runs at 0.9 were seen to blow up.
+#: Exchange number that the choice by theory stays below: atoms sit unevenly on the nodes, and runs of constant weight
+#: at 0.9 were seen to blow up.
 CHOSEN_NUMBER = 0.7
 SMALLEST_WEIGHT = 0.05
+#: Steeper profiles gain little: at 8 the mean weight is 0.16, and the first cell holds most of the rise.
+LARGEST_EXPONENT = 8
+#: kappa L^2 / E of springs that count as stiff: a far field of two bars is then 0.48 L too short at full weight.
+STIFF = 1000.0
+#: Dampers follow the weight in powers of two, since an engine may need a thermostat for each value, and not below this.
+SMALLEST_SHARE = 1.0 / 16.0
 
 
 class HandshakeError(ValueError):
@@ -39,81 +63,147 @@ class HandshakeError(ValueError):
 
 @dataclass(frozen=True)
 class Handshake:
-    """Weight and stiffness of a handshake.
+    """Weight, springs and dampers of a handshake.
 
     Attributes
     ----------
-    weight : float
-        Scale of the continuum's stiffness and mass in the overlap.
+    profile : WeightProfile
+        Of the continuum's stiffness and mass in the overlap.
     stiffness_density : float
-        Spring stiffness per volume, N/m4.
+        Spring stiffness per volume at the outer border, N/m4.
     exchange_number : float
-        Square root of the sum above; below `STABILITY_LIMIT` the exchange is stable.
+        Below `STABILITY_LIMIT` the exchange is stable.
+    scheme : {"serial", "parallel"}
+    static_error : float
+        How far the coupled body stretches beyond one whole body, in widths of the overlap times the far strain.
+    relative_stiffness : float
+        kappa L^2 / E at the outer border.
     """
 
-    weight: float
+    profile: WeightProfile
     stiffness_density: float
     exchange_number: float
+    scheme: Scheme
+    static_error: float
+    relative_stiffness: float
+
+    @property
+    def weight(self) -> float:
+        """Weight of the continuum at the inner border."""
+        return self.profile.weight
+
+    @property
+    def exponent(self) -> float:
+        """Exponent of the profile `power`, else 1."""
+        return self.profile.exponent
+
+    @property
+    def mean_weight(self) -> float:
+        """Mean weight of the continuum in the overlap."""
+        return self.profile.mean
+
+    def weight_at(self, share: FloatArray) -> FloatArray:
+        """Return the weight at shares s = d_inner / (d_inner + d_outer) of the way outwards, any shape."""
+        return self.profile.at(share)
+
+    def stiffness_at(self, share: FloatArray) -> FloatArray:
+        """Return spring stiffness per volume, N/m4, at shares as of `weight_at`: it follows the weight."""
+        return np.asarray(self.stiffness_density * self.profile.at(share) / self.profile.at_border)
+
+    def damping_share_at(self, share: FloatArray) -> FloatArray:
+        """Return factors on the damper, at most 1, at shares as of `weight_at`: the weight to a power of two."""
+        return damping_share(self.profile, share)
+
+    def reflection(self, wavelength: float, damping: float = 0.0) -> float:
+        """Return the reflected amplitude of a wave from the continuum over its own.
+
+        Parameters
+        ----------
+        wavelength : float
+            In widths of the overlap.
+        damping : float
+            Time of a wave through the overlap over the damping time, L / (c tau).
+        """
+        return scatter(self.profile, self.relative_stiffness, wavelength, damping).reflected
 
 
-def exact_lambda(weight: float) -> float:
-    """Return the root lambda of the equation above, by bisection.
-
-    The left side outgrows the right one for large lambda, since w lambda passes w + 1/w.
-    """
-
-    def excess(x: float) -> float:
-        # divided by cosh, so that nothing overflows for small weights
-        return x * weight * math.tanh(x) - 2.0 / math.cosh(min(x, 700.0)) - (weight + 1.0 / weight)
-
-    low, high = 0.0, 2.0 + 2.0 / weight**2
-    while high - low > 1e-14 * high:
-        middle = 0.5 * (low + high)
-        if excess(middle) < 0.0:
-            low = middle
-        else:
-            high = middle
-    return 0.5 * (low + high)
-
-
-def exact_stiffness(weight: float) -> float:
-    """Return kappa L^2 / E for which the far field is exact in statics: 2.878 at w = 1, 927 at w = 0.1."""
-    return exact_lambda(weight) ** 2 / (1.0 + 1.0 / weight)
-
-
-def exact_weight(stiffness: float) -> float:
-    """Return the weight whose statically exact kappa L^2 / E is `stiffness`, or the nearest one allowed."""
-    low, high = SMALLEST_WEIGHT, 1.0
-    if exact_stiffness(high) >= stiffness:
-        return high
-    while high - low > 1e-6:
-        middle = 0.5 * (low + high)
-        if exact_stiffness(middle) > stiffness:
-            low = middle
-        else:
-            high = middle
-    return high
+def damping_share(profile: WeightProfile, share: FloatArray) -> FloatArray:
+    """Return factors on the dampers at shares s of the way outwards: 1 at constant weight, else W as a power of two."""
+    weight = profile.at(share)
+    if profile.kind == "constant":
+        return np.ones_like(weight)
+    return np.asarray(np.maximum(2.0 ** np.round(np.log2(weight)), SMALLEST_SHARE))
 
 
 def exchange_number(
-    stiffness_density: float, weight: float, density: float, coupling_step: float, damping_time: float | None = None
+    stiffness_density: float,
+    profile: WeightProfile,
+    density: float,
+    coupling_step: float,
+    damping_time: float | None = None,
+    scheme: Scheme = "serial",
+    courant: float = 0.0,
 ) -> float:
-    """Return the square root of (Dt omega / 2)^2 + Dt / (2 w tau).
+    """Return the root of S + D (serial) or 8 S + 2 D + Q (parallel); see above.
 
     Parameters
     ----------
     stiffness_density : float
-        N/m4.
-    weight, density : float
-        Weight of the continuum, and its density at weight 1, kg/m3.
+        At the outer border, N/m4.
+    profile : WeightProfile
+    density : float
+        Of the continuum at weight 1, kg/m3.
     coupling_step : float
         Dt, s.
     damping_time : float, optional
-        tau, s; None without damper.
+        tau, s, at a damping share of 1; None without damper.
+    scheme : {"serial", "parallel"}
+    courant : float
+        c Dt / h, of the parallel scheme.
     """
-    spring = 0.25 * coupling_step**2 * stiffness_density / (weight * density)
-    damper = 0.0 if damping_time is None else 0.5 * coupling_step / (weight * damping_time)
-    return math.sqrt(spring + damper)
+    spring = 0.25 * coupling_step**2 * stiffness_density / (profile.at_border * density)
+    damper = 0.0
+    if damping_time is not None:
+        across = np.linspace(0.0, 1.0, 201)
+        heaviest = float(np.max(damping_share(profile, across) / profile.at(across)))
+        damper = 0.5 * coupling_step / damping_time * heaviest
+    if scheme == "serial":
+        return math.sqrt(spring + damper)
+    return math.sqrt(8.0 * spring + 2.0 * damper + 4.0 * courant**2)
+
+
+@dataclass(frozen=True)
+class _Exchange:
+    """What a choice is made for: a body, a width and a coupling step, all as of `choose`."""
+
+    young: float
+    density: float
+    width: float
+    coupling_step: float
+    damping_time: float | None
+    scheme: Scheme
+    courant: float
+
+    def handshake(self, profile: WeightProfile, stiffness_density: float | None) -> Handshake:
+        """Return the handshake of a profile, with the statically exact springs where none are given."""
+        unit = self.young / self.width**2
+        kappa = exact_stiffness(profile) * unit if stiffness_density is None else stiffness_density
+        number = exchange_number(
+            kappa, profile, self.density, self.coupling_step, self.damping_time, self.scheme, self.courant
+        )
+        return Handshake(profile, kappa, number, self.scheme, static_error(profile, kappa / unit), kappa / unit)
+
+    def stiffest(self, profile: WeightProfile) -> float:
+        """Return the stiffness of springs that are stiff, or as stiff as the exchange bears, N/m4."""
+        stiff = STIFF * self.young / self.width**2
+        without, wanted = (
+            exchange_number(
+                kappa, profile, self.density, self.coupling_step, self.damping_time, self.scheme, self.courant
+            )
+            for kappa in (0.0, stiff)
+        )
+        left = CHOSEN_NUMBER**2 - without**2
+        return stiff if wanted <= CHOSEN_NUMBER or left <= 0.0 else stiff * left / (wanted**2 - without**2)
 
 
 def choose(
@@ -125,8 +215,15 @@ def choose(
     damping_time: float | None = None,
     weight: float | None = None,
     stiffness_density: float | None = None,
+    profile: Kind | None = None,
+    scheme: Scheme = "serial",
+    courant: float = 0.0,
+    stiff: bool = False,
 ) -> Handshake:
-    """Return the smallest weight whose statically exact stiffness is stable at the coupling step.
+    """Return the handshake of the smallest mean weight whose statically exact springs are stable.
+
+    Without a profile it is `power` from a weight of 0.05, or `constant` where weight or stiffness are given. For
+    `power` the exponent is the largest whole one up to 8 that is stable; else, and where none is, the weight grows.
 
     Parameters
     ----------
@@ -138,40 +235,94 @@ def choose(
         Dt, s.
     damping_time : float, optional
         tau, s; None without damper.
-    weight, stiffness_density : float, optional
-        Values that the scene gives; the other one follows from theory.
+    weight : float, optional
+        At the inner border.
+    stiffness_density : float, optional
+        At the outer border, N/m4. At constant weight the weight then follows from it, unless that is given.
+    profile : {"constant", "linear", "cubic", "power"}, optional
+    scheme : {"serial", "parallel"}
+    courant : float
+        c Dt / h with h the size of a cell, of the parallel scheme.
+    stiff : bool
+        Springs as stiff as the exchange bears instead of statically exact ones, as the dissertation has them.
 
     Raises
     ------
     HandshakeError
         Where the exchange would be unstable; the message names the limit and what to change.
     """
-
-    def made(w: float) -> Handshake:
-        kappa = exact_stiffness(w) * young / width**2 if stiffness_density is None else stiffness_density
-        return Handshake(w, kappa, exchange_number(kappa, w, density, coupling_step, damping_time))
-
-    if weight is None and stiffness_density is not None:
+    exchange = _Exchange(young, density, width, coupling_step, damping_time, scheme, courant)
+    kind = profile or ("power" if weight is None and stiffness_density is None else "constant")
+    if kind == "constant" and weight is None and stiffness_density is not None:
         weight = exact_weight(stiffness_density * width**2 / young)
-    chosen = made(1.0 if weight is None else weight)
-    if weight is None and chosen.exchange_number < CHOSEN_NUMBER:
-        # The exchange number falls as the weight grows, so the smallest stable weight is a bisection away.
-        low, high = SMALLEST_WEIGHT, 1.0
-        if made(low).exchange_number < CHOSEN_NUMBER:
-            high = low
-        while high - low > 1e-3:
-            middle = 0.5 * (low + high)
-            if made(middle).exchange_number < CHOSEN_NUMBER:
-                high = middle
-            else:
-                low = middle
-        chosen = made(high)
-    if chosen.exchange_number >= STABILITY_LIMIT:
-        raise HandshakeError(
-            f"the exchange is unstable: coupling step {coupling_step * 1e15:.3g} fs, weight {chosen.weight:.3g} and "
-            f"stiffness {chosen.stiffness_density:.3g} N/m4"
-            + (f", damping time {damping_time * 1e15:.3g} fs" if damping_time is not None else "")
-            + f" give an exchange number of {chosen.exchange_number:.3g}, allowed is {STABILITY_LIMIT}; take a smaller "
-            "handshake.steps_per_exchange or handshake.stiffness, a larger handshake.weight or handshake.damping_time"
-        )
+    if stiff and stiffness_density is None:
+        full = WeightProfile(kind, 1.0 if weight is None else weight)
+        chosen = exchange.handshake(full, exchange.stiffest(full))
+    else:
+        chosen = _steepest(exchange, kind, weight, stiffness_density)
+    if not chosen.exchange_number < STABILITY_LIMIT:
+        raise HandshakeError(_refusal(exchange, chosen))
     return chosen
+
+
+def _steepest(exchange: _Exchange, kind: Kind, weight: float | None, stiffness_density: float | None) -> Handshake:
+    """Return the handshake of least mean weight below `CHOSEN_NUMBER`, or else that of the smallest number."""
+
+    def made(w: float, exponent: float = 1.0) -> Handshake:
+        return exchange.handshake(WeightProfile(kind, w, exponent), stiffness_density)
+
+    least = SMALLEST_WEIGHT if weight is None else weight
+    exponents = range(LARGEST_EXPONENT, 0, -1) if kind == "power" else (1,)
+    for exponent in exponents:
+        chosen = made(least, float(exponent))
+        if chosen.exchange_number < CHOSEN_NUMBER:
+            return chosen
+    if weight is not None:
+        return chosen
+    heaviest = made(1.0)
+    if not heaviest.exchange_number < CHOSEN_NUMBER:
+        return min(chosen, heaviest, key=lambda one: one.exchange_number)
+    # The exchange number falls as the weight grows, so the smallest stable weight is a bisection away.
+    low, high = least, 1.0
+    while high - low > 1e-3:
+        middle = 0.5 * (low + high)
+        if made(middle).exchange_number < CHOSEN_NUMBER:
+            high = middle
+        else:
+            low = middle
+    return made(high)
+
+
+def exact_weight(stiffness: float) -> float:
+    """Return the constant weight whose statically exact kappa L^2 / E is `stiffness`, or the nearest one allowed."""
+    low, high = SMALLEST_WEIGHT, 1.0
+    if exact_stiffness(WeightProfile("constant", high)) >= stiffness:
+        return high
+    while high - low > 1e-6:
+        middle = 0.5 * (low + high)
+        if exact_stiffness(WeightProfile("constant", middle)) > stiffness:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+def _refusal(exchange: _Exchange, tried: Handshake) -> str:
+    """Return what is unstable, the limit, and what to change."""
+    profile = tried.profile
+    bare = replace(exchange, scheme="serial").handshake(profile, tried.stiffness_density).exchange_number
+    # Springs alone are linear in the step, dampers and the square of cells too: a safe step by proportion.
+    safe = exchange.coupling_step * min(1.0, (CHOSEN_NUMBER / tried.exchange_number) ** 2)
+    words = (
+        f"the exchange is unstable: coupling step {exchange.coupling_step * 1e15:.3g} fs, weight {profile.weight:.3g} "
+        f"({profile.kind}) and stiffness {tried.stiffness_density:.3g} N/m4"
+    )
+    if exchange.damping_time is not None:
+        words += f", damping time {exchange.damping_time * 1e15:.3g} fs"
+    words += f" give an exchange number of {tried.exchange_number:.3g}, allowed is {STABILITY_LIMIT}"
+    if exchange.scheme == "parallel" and bare < STABILITY_LIMIT:
+        words += f" (of handshake.scheme = parallel; serial has {bare:.3g})"
+    return words + (
+        f"; take a smaller handshake.steps_per_exchange (a coupling step of {safe * 1e15:.3g} fs is stable) or "
+        "handshake.stiffness, a larger handshake.weight or handshake.damping_time"
+    )

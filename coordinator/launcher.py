@@ -40,6 +40,8 @@ class ServiceProcess:
 
     Attributes
     ----------
+    name : str
+        Of the service in its run: the role, or the region of atoms that it has.
     role, backend : str
     folder : Path
         Its working folder, with `log.txt` and, where the path is short enough, its socket.
@@ -47,6 +49,7 @@ class ServiceProcess:
     process : subprocess.Popen
     """
 
+    name: str
     role: str
     backend: str
     folder: Path
@@ -71,7 +74,7 @@ class ServiceProcess:
         if code is None:
             return
         how = f"was killed by signal {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
-        raise ServiceDied(f"the {self.role} service ({self.backend}) {how}\n{self.last_lines()}")
+        raise ServiceDied(f"the {self.name} service ({self.backend}) {how}\n{self.last_lines()}")
 
     def last_lines(self) -> str:
         """Return the last lines of the log, indented."""
@@ -113,12 +116,12 @@ class ServiceProcess:
 
 
 class Services:
-    """The services of one run, by role.
+    """The services of one run, by name: the role, or the region of atoms that a service has.
 
     Parameters
     ----------
     folder : Path
-        Folder of the run; each service gets `folder/services/ROLE`.
+        Folder of the run; each service gets `folder/services/NAME`.
     run : str
         Id of the run.
     """
@@ -130,9 +133,9 @@ class Services:
         self.processes: dict[str, ServiceProcess] = {}
         self.clients: dict[str, Client] = {}
 
-    def start(self, role: str, backend: str, ranks: int = 1) -> None:
+    def start(self, name: str, role: str, backend: str, ranks: int = 1) -> None:
         """Start a service; `connect` waits until it is ready."""
-        folder = self._folder / "services" / role
+        folder = self._folder / "services" / name
         folder.mkdir(parents=True, exist_ok=True)
         endpoint = f"ipc://{self._socket_path(folder)}"
         command = [
@@ -147,14 +150,14 @@ class Services:
                 command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, start_new_session=True,
                 env=environment,
             )  # fmt: skip
-        self.processes[role] = ServiceProcess(role, backend, folder, endpoint, process)
+        self.processes[name] = ServiceProcess(name, role, backend, folder, endpoint, process)
 
-    def connect(self, role: str, watch: Callable[[], None] | None = None) -> Client:
+    def connect(self, name: str, watch: Callable[[], None] | None = None) -> Client:
         """Wait until a started service answers `hello`.
 
         Parameters
         ----------
-        role : str
+        name : str
         watch : callable, optional
             Called while waiting, in the place of `check`; may raise to end the wait.
 
@@ -162,18 +165,20 @@ class Services:
         ------
         ServiceDied, ConnectionProblem, ProtocolError
         """
-        started = self.processes[role]
+        started = self.processes[name]
         client = Client.connect(
-            started.endpoint, role, run=self._run, watch=watch or self.check, deadline=READY_SECONDS
+            started.endpoint, started.role, run=self._run, watch=watch or self.check, deadline=READY_SECONDS
         )
         started.note_family()
-        self.clients[role] = client
+        self.clients[name] = client
         return client
 
-    def attach(self, role: str, endpoint: str, keys: Path | None, watch: Callable[[], None] | None = None) -> Client:
+    def attach(
+        self, name: str, role: str, endpoint: str, keys: Path | None, watch: Callable[[], None] | None = None
+    ) -> Client:
         """Use a service that runs already, here or on another machine; it is not stopped with the run."""
         client = Client.connect(endpoint, role, keys=keys, run=self._run, watch=watch or self.check)
-        self.clients[role] = client
+        self.clients[name] = client
         return client
 
     def check(self) -> None:
@@ -183,8 +188,8 @@ class Services:
 
     def stop(self) -> None:
         """Stop every service that this run started, and let go of the others."""
-        for role, process in self.processes.items():
-            process.stop(self.clients.get(role))
+        for name, process in self.processes.items():
+            process.stop(self.clients.get(name))
         for client in self.clients.values():
             client.close()
         for socket in self._sockets:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from coordinator.coupling import Coupling, StepRecord
 from coordinator.elements import numbers_of
+from coordinator.region import Region
 from coordinator.results import Results, ResultsWriter
 from coordinator.scene import Scene
 from coordinator.summary import Status, Summary, WallTime, measures_of
@@ -67,15 +71,14 @@ class RunOutput:
                 "command": self._command,
             },
         )
-        if coupling.interface is not None:
-            interface = coupling.interface
-            species = numbers_of(coupling.atom_mass)
-            self._writer.atoms(coupling.atom_id, species, coupling.atom_mass, coupling.atom_position)
-            inner, outer = interface.overlap.inner, interface.overlap.outer
-            self._writer.interface(
-                interface.ivc_lower, interface.ivc_upper, coupling.anchor_reference, interface.anchor_ivc,
-                [inner.lower, inner.upper], [outer.lower, outer.upper],
-            )  # fmt: skip
+        if coupling.regions:
+            mass = np.concatenate([region.atom_mass for region in coupling.regions])
+            reference = np.concatenate([region.reference for region in coupling.regions])
+            # Services number their own atoms, so with several of them the rows are the ids.
+            alone = len(coupling.regions) == 1
+            ids = coupling.regions[0].atom_id if alone else np.arange(1, len(mass) + 1, dtype=np.int64)
+            self._writer.atoms(ids, numbers_of(mass), mass, reference)
+            self._writer.interface(**interface_tables(coupling.regions, scene))
 
     def row(self, coupling: Coupling, record: StepRecord, computing: dict[str, float], seconds: float) -> None:
         """Add one step.
@@ -83,23 +86,28 @@ class RunOutput:
         Parameters
         ----------
         computing : dict of str to float
-            Seconds that each service computed in this step, by role.
+            Seconds that each service computed in this step, by name; those of atoms are summed.
         seconds : float
             Wall time of the step.
         """
         assert self._writer is not None
         self.step = coupling.step
         values = {"time": coupling.step * self.scene.time_step, **record.values}
-        values.update({f"seconds_{role}": spent for role, spent in computing.items()})
-        values["seconds_exchange"] = seconds - sum(computing.values())
+        solvers = {"continuum": computing["continuum"]}
+        atoms = [spent for name, spent in computing.items() if name != "continuum"]
+        if atoms:
+            solvers["atomistic"] = sum(atoms)
+        values.update({f"seconds_{role}": spent for role, spent in solvers.items()})
+        values["seconds_exchange"] = seconds - sum(solvers.values())
         self._writer.row(coupling.step, values)
         if record.ivc_force is not None and record.ivc_error is not None:
             self._writer.ivc_row(coupling.step, record.ivc_force, record.ivc_error)
-        if record.measured is not None:
-            self._writer.measured(coupling.step, values["time"], record.measured)
+        for measured in record.measured:
+            if measured is not None:  # of the only region: several take none
+                self._writer.measured(coupling.step, values["time"], measured)
         for event in record.events:
             self._writer.event(coupling.step, event.model_dump(mode="json", exclude_none=True))
-        notes = coupling.measurements.notes if coupling.measurements is not None else []
+        notes = [note for one in coupling.measurements for note in one.notes]
         for warning in [*record.warnings, *notes]:
             self._warnings[warning] = None
 
@@ -112,9 +120,9 @@ class RunOutput:
             coupling.step, time, points["position"], points["displacement"], points["velocity"], points["stress"],
             points["weight"],
         )  # fmt: skip
-        atoms = coupling.atom_fields()
-        if atoms:
-            self._writer.atoms_frame(coupling.step, time, atoms["position"])
+        atoms = coupling.atom_positions()
+        if atoms is not None:
+            self._writer.atoms_frame(coupling.step, time, atoms)
 
     def note(self, sentence: str) -> None:
         """Keep a sentence on how the run ended."""
@@ -163,6 +171,32 @@ class RunOutput:
         from coordinator.report import make_report
 
         return make_report(self.folder)
+
+
+def interface_tables(regions: Sequence[Region], scene: Scene) -> dict[str, Any]:
+    """Return cells, anchors and rings of all regions, in the scene's frame, as `ResultsWriter.interface` takes them."""
+    cells = [region.cells() for region in regions]
+    starts = np.cumsum([0, *(len(low) for low, _ in cells)])[:-1]
+    rings = [(region.frame.to_scene(region.interface.ring.inner), region.frame.to_scene(region.interface.ring.outer))
+             for region in regions]  # fmt: skip
+    # A ring with open sides reaches beyond the body, where there is nothing to be seen.
+    low, high = np.array(scene.continuum.lower), np.array(scene.continuum.upper)
+    boxes = [[np.clip(border, low, high) for border in pair] for pair in rings]
+    first, last = boxes[0]
+    return {
+        "ivc_lower": np.concatenate([low for low, _ in cells]),
+        "ivc_upper": np.concatenate([high for _, high in cells]),
+        "anchor_position": np.concatenate([region.anchor_reference for region in regions]),
+        "anchor_ivc": np.concatenate(
+            [region.interface.anchor_ivc + start for region, start in zip(regions, starts, strict=True)]
+        ),
+        "inner": [first.min(axis=0), first.max(axis=0)],
+        "outer": [last.min(axis=0), last.max(axis=0)],
+        "rings": {
+            region.name: {"inner": inner, "outer": outer}
+            for region, (inner, outer) in zip(regions, boxes, strict=True)
+        },
+    }
 
 
 def versions() -> dict[str, str]:

@@ -120,6 +120,7 @@ class ResultsWriter:
         anchor_ivc: ArrayLike,
         inner: ArrayLike,
         outer: ArrayLike,
+        rings: dict[str, dict[str, FloatArray]] | None = None,
     ) -> None:
         """Say where the interface is, before its first row.
 
@@ -132,11 +133,13 @@ class ResultsWriter:
         anchor_ivc : array_like of int, shape (anchors,)
             Cell of each anchor.
         inner, outer : array_like, shape (2, 2)
-            Lower and upper corner of the rectangles of the overlap, m.
+            Lower and upper corner of boxes around the borders of the first region's overlap, m.
+        rings : dict, optional
+            Corners of the borders `inner` and `outer` of each region's overlap by its name, shape (corners, 2), m.
         """
         given = (ivc_lower, ivc_upper, anchor_position, anchor_ivc, inner, outer)
         values = {name: np.array(value) for name, value in zip(_STATIC_INTERFACE, given, strict=True)}
-        self._static.append(lambda file: _create_interface(file, values))
+        self._static.append(lambda file: _create_interface(file, values, rings or {}))
 
     def row(self, step: int, values: dict[str, float]) -> None:
         """Add one row of the time series.
@@ -289,7 +292,12 @@ class Results:
         self.step: IntArray = table["step"][:]
         self.series: dict[str, FloatArray] = {name: table[name][:] for name in table if name != "step"}
         self.units = {name: str(table[name].attrs["unit"]) for name in self.series}
-        self.interface: dict[str, Any] = {name: array[:] for name, array in file.get("interface", {}).items()}
+        interface = file.get("interface", {})
+        self.interface: dict[str, Any] = {name: array[:] for name, array in interface.items() if name != "rings"}
+        self.rings: dict[str, dict[str, FloatArray]] = {
+            region: {name: array[:] for name, array in borders.items()}
+            for region, borders in interface.get("rings", {}).items()
+        }
         self.atoms = h5md.AtomsReader(file) if h5md.GROUP in file else None
         self.grid = h5md.GridReader(file) if h5md.GRID in file else None
         self.points = vtkhdf.PointsReader(file) if vtkhdf.GROUP in file else None
@@ -354,8 +362,14 @@ def _append_rows(file: h5py.File, rows: list[tuple[int, dict[str, float]]]) -> N
             array[start:] = [values.get(name, math.nan) for _, values in rows]
 
 
-def _create_interface(file: h5py.File, values: dict[str, np.ndarray]) -> None:
+def _create_interface(
+    file: h5py.File, values: dict[str, np.ndarray], rings: dict[str, dict[str, FloatArray]]
+) -> None:
     group = file.create_group("interface")
+    for region, borders in rings.items():
+        for name, corners in borders.items():
+            group[f"rings/{region}/{name}"] = corners
+            group[f"rings/{region}/{name}"].attrs["unit"] = "m"
     for name, value in values.items():
         group[name] = value
         if name != "anchor_ivc":

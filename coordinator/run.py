@@ -8,7 +8,7 @@ import time
 import uuid
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -76,9 +76,9 @@ def run_scene(
         words += ["--attach", f"{role}={endpoint}"]
     if keys is not None:
         words += ["--keys", str(keys)]
-    for role, (backend, ranks) in _wanted(scene).items():
-        if role not in (attached or {}):
-            find(role, backend).launch_words(ranks)
+    for wanted in _wanted(scene):
+        if wanted.name not in (attached or {}):
+            find(wanted.role, wanted.backend).launch_words(wanted.ranks)
     run = Run(scene, folder, attached or {}, keys, console or Console(stderr=True), shlex.join(words))
     if resume:
         run.load_checkpoint()
@@ -87,11 +87,21 @@ def run_scene(
     return run.execute()
 
 
-def _wanted(scene: Scene) -> dict[str, tuple[str, int]]:
-    """Return backend and number of ranks of each service that a scene needs, by role."""
-    wanted = {"continuum": (scene.continuum.backend, 1)}
+class Wanted(NamedTuple):
+    """A service that a scene needs; its name is its role, or the region of atoms that it has."""
+
+    name: str
+    role: str
+    backend: str
+    ranks: int
+
+
+def _wanted(scene: Scene) -> list[Wanted]:
+    """Return the services that a scene needs."""
+    wanted = [Wanted("continuum", "continuum", scene.continuum.backend, 1)]
     if scene.atomistic is not None:
-        wanted["atomistic"] = (scene.atomistic.backend, scene.atomistic.ranks)
+        atoms = scene.atomistic
+        wanted += [Wanted(place.name, "atomistic", atoms.backend, atoms.ranks) for place in scene.places]
     return wanted
 
 
@@ -117,9 +127,10 @@ class Run:
         console: Console,
         command: str,
     ) -> None:
-        unknown = set(attached) - {"continuum", "atomistic"}
+        names = [wanted.name for wanted in _wanted(scene)]
+        unknown = set(attached) - set(names)
         if unknown:
-            raise RunError(f"--attach {unknown.pop()}: this scene has the roles continuum and atomistic")
+            raise RunError(f"--attach {unknown.pop()}: this scene has the services {' and '.join(names)}")
         self.scene = scene
         self.folder = folder
         self._attached = attached
@@ -233,8 +244,9 @@ class Run:
             client.watch_with(lambda role=role: watch(role))  # type: ignore[misc]
         header = self._checkpoint[0] if self._checkpoint else None
         coupling = Coupling(
-            self.scene, clients["continuum"], clients.get("atomistic"),
-            Properties.model_validate(header["properties"]) if header and header["properties"] else None, tell,
+            self.scene, clients["continuum"], {name: one for name, one in clients.items() if name != "continuum"},
+            Properties.model_validate(header["properties"]) if header and header["properties"] else None,
+            header["steps_per_exchange"] if header else None, tell,
         )  # fmt: skip
         watch.abortable = True
         try:
@@ -246,6 +258,7 @@ class Run:
                 raise Interrupted from None
             raise
         watch.abortable = False
+        output.scene = coupling.scene  # with M as chosen
         if interruption.wanted:
             raise Interrupted
         output.begin(coupling)
@@ -266,14 +279,14 @@ class Run:
                 raise Interrupted
 
         wanted = _wanted(self.scene)
-        for role, (backend, ranks) in wanted.items():
-            if role not in self._attached:
-                services.start(role, backend, ranks)
-        for role in wanted:
-            if role in self._attached:
-                services.attach(role, self._attached[role], self._keys, watch)
+        for one in wanted:
+            if one.name not in self._attached:
+                services.start(one.name, one.role, one.backend, one.ranks)
+        for one in wanted:
+            if one.name in self._attached:
+                services.attach(one.name, one.role, self._attached[one.name], self._keys, watch)
             else:
-                services.connect(role, watch)
+                services.connect(one.name, watch)
 
     def _loop(
         self,
@@ -302,7 +315,7 @@ class Run:
                 output.note(f"the crack grew by {readable(grown, LENGTHS, 4)}")
                 break
             if coupling.step % 10 == 0 or coupling.step == scene.run.steps:
-                show(_progress_text(coupling, record, scene))
+                show(_progress_text(coupling, record))
             if interruption.wanted:
                 self._save(coupling, output)
                 raise Interrupted
@@ -319,6 +332,7 @@ class Run:
             "step": coupling.step,
             "scene": self.scene.model_dump(mode="json"),
             "properties": coupling.properties.model_dump() if coupling.properties else None,
+            "steps_per_exchange": coupling.scene.handshake.steps_per_exchange if coupling.scene.handshake else None,
         }
         write_checkpoint(self.folder, header, state)
         self._state_step = coupling.step
@@ -386,14 +400,14 @@ def _progress(console: Console) -> Progress:
     )  # fmt: skip
 
 
-def _progress_text(coupling: Coupling, record: StepRecord, scene: Scene) -> str:
-    values = record.values
+def _progress_text(coupling: Coupling, record: StepRecord) -> str:
+    values, scene = record.values, coupling.scene
     size, name = units_of(scene).time
     parts = [f"{coupling.step * scene.time_step / size:.2f} {name}"]
     if "applied_strain" in values:
         parts.append(f"strain {values['applied_strain'] * 100:.2f} %")
     if "temperature" in values:
         parts.append(f"{values['temperature']:.0f} K")
-    if "crack_tip" in values:
+    if any(name.startswith("crack_tip") for name in values):
         parts.append(f"tip +{coupling.crack_growth(record) * 1e10:.0f} A")
     return ", ".join(parts)

@@ -14,8 +14,9 @@ from pydantic.fields import FieldInfo
 
 from coordinator.atomistic_tables import Atomistic
 from coordinator.continuum_tables import Continuum, Edge, Material
+from coordinator.ring import snapped_overlap
 from coordinator.scene_checks import Problem, cross_checks
-from coordinator.scene_tables import Crack, Handshake, Run, Scene, snapped_overlap
+from coordinator.scene_tables import Crack, Handshake, Place, Run, Scene
 from coordinator.table import Corners
 from coordinator.units import Quantity
 
@@ -27,6 +28,7 @@ __all__ = [
     "Edge",
     "Handshake",
     "Material",
+    "Place",
     "Run",
     "Scene",
     "SceneError",

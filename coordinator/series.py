@@ -42,6 +42,17 @@ SERIES: dict[str, Series] = {
     "force_balance": Series("1", "imbalance between cell forces and anchor forces, relative"),
     "ivc_force_rms": Series("N", "force on an interface volume cell, root mean square"),
     "ivc_error_rms": Series("N", "standard error of that force, root mean square"),
+    "continuum_filter_loss": Series("J", "kinetic energy taken by the way from points to grid and back"),
+    "continuum_momentum_x": Series("kg m/s", "momentum of the continuum, x"),
+    "continuum_momentum_y": Series("kg m/s", "momentum of the continuum, y"),
+    "atomistic_momentum_x": Series("kg m/s", "momentum of the atoms, x"),
+    "atomistic_momentum_y": Series("kg m/s", "momentum of the atoms, y"),
+    "reference_work": Series("J", "work of the reference forces on the anchors"),
+    "residual_continuum": Series("J", "what the books of the continuum miss by"),
+    "residual_atoms": Series("J", "what the books of the atoms miss by"),
+    "residual_interface": Series("J", "what the books of the interface miss by"),
+    "stress_ahead": Series("Pa", "opening stress in the continuum ahead of the crack"),
+    "crack_leg": Series("1", "who carries the crack tip: 0 continuum, 1 atoms, 2 at the far side, 3 continuum beyond"),
     "applied_strain": Series("1", "strain applied by the edges"),
     "edge_force": Series("N", "force of the top edge on the body"),
     "j_boundary": Series("J/m^2", "J integral estimated from the displacement of the edges"),
@@ -80,8 +91,17 @@ J_SERIES: dict[str, Series] = {
 _PLACES = {"x": Series("m", "x of the crack tip"), "y": Series("m", "y of the crack tip")}
 
 
+def series_name(name: str, region: str, alone: bool) -> str:
+    """Return the name of a series of one region: its own where that is the only one."""
+    return name if alone else f"{name}@{region}"
+
+
 def series_of(name: str) -> Series:
     """Return what is known of a series; an unknown one has no unit and no description."""
+    name, of, region = name.partition("@")
+    if of:
+        known = series_of(name)
+        return Series(known.unit, f"{known.description}, {region}")
     tip = re.fullmatch(r"tip_(\d+)_([01])_(\w+)", name)
     if tip is not None:
         known = {**_PLACES, **TIP_SERIES}.get(tip[3], Series("", ""))

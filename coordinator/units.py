@@ -28,6 +28,7 @@ DIMENSIONS: dict[str, tuple[str, str]] = {
     "acceleration": ("m/s^2", "-9.81 m/s^2"),
     "angle": ("rad", "30 degree"),
     "energy per area": ("J/m^2", "10 J/m^2"),
+    "stress intensity": ("Pa m^0.5", "2 MPa m^0.5"),
 }
 
 _NUMBER_AND_UNIT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
@@ -148,6 +149,7 @@ PositiveStiffness = Annotated[float, Quantity("stiffness", "positive")]
 Rate = Annotated[float, Quantity("rate", "zero")]
 PositiveDensity = Annotated[float, Quantity("density", "positive")]
 PositiveEnergyPerArea = Annotated[float, Quantity("energy per area", "positive")]
+StressIntensity = Annotated[float, Quantity("stress intensity")]
 Pressure = Annotated[float, Quantity("pressure")]
 ZeroPressure = Annotated[float, Quantity("pressure", "zero")]
 Velocity = Annotated[float, Quantity("velocity")]

@@ -2,13 +2,36 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import numpy as np
 
+from coordinator.scene import Scene
 from protocol import continuum as c
 
 _DIRECTIONS = 180
+#: Courant number up to which the continuum makes one step an exchange; the default scheme is stable to 0.8.
+LARGEST_COURANT = 0.78
+
+
+def sub_steps(scene: Scene, material: c.Material) -> int:
+    """Return how many steps the continuum makes in one exchange: the scene's number, or as few as are stable."""
+    table = scene.handshake
+    if table is None:
+        return 1
+    if table.continuum_steps is not None:
+        return table.continuum_steps
+    return max(1, math.ceil(_courant_of_exchange(scene, material) / LARGEST_COURANT))
+
+
+def courant_number(scene: Scene, material: c.Material) -> float:
+    """Return the Courant number of the continuum's step in its finest cells (Eq 31)."""
+    return _courant_of_exchange(scene, material) / sub_steps(scene, material)
+
+
+def _courant_of_exchange(scene: Scene, material: c.Material) -> float:
+    return wave_speed(material, scene.continuum.assumption) * scene.time_step / scene.finest_cell
 
 
 def wave_speed(material: c.Material, assumption: Literal["plane_stress", "plane_strain"]) -> float:

@@ -35,7 +35,7 @@ class Anchors:
     ivc : ndarray of int64, shape (k,)
         Interface volume cell of each anchor, from 0.
     damping : ndarray, shape (k,)
-        Damper constants gamma, kg/s; 0 for springs alone. gamma is the atom's mass over one damping time.
+        Damper constants gamma, kg/s; 0 for springs alone. gamma is a share of the atom's mass over the damping time.
     kind : ndarray of int64, shape (k,)
         `SPRING`, `PASSIVE` or `SURFACE`.
     force : ndarray, shape (k, 3)
@@ -58,6 +58,21 @@ class Anchors:
     def n_ivc(self) -> int:
         """Number of interface volume cells."""
         return int(self.ivc.max()) + 1
+
+    def damping_times(self, mass: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Distinct damping times, s, ascending, and which of them each anchor has, shape (k,); -1 without damper.
+
+        Parameters
+        ----------
+        mass : ndarray, shape (k,)
+            Of the anchored atoms, kg.
+        """
+        which = np.full(len(mass), -1, dtype=np.int64)
+        damped = self.damping > 0.0
+        # Round-off of mass / (mass / time) must not tell equal times apart.
+        times, rows = np.unique(np.round(np.log(mass[damped] / self.damping[damped]), 9), return_inverse=True)
+        which[damped] = rows
+        return np.exp(times), which
 
     @property
     def passive(self) -> NDArray[np.bool_]:
@@ -131,6 +146,7 @@ def checked_anchors(
     atom_mass: NDArray[np.float64],
     kind: ArrayLike | None = None,
     moving: bool = False,
+    damping_share: ArrayLike | None = None,
 ) -> Anchors:
     """Anchors at rest from a user's arrays.
 
@@ -139,9 +155,11 @@ def checked_anchors(
     atom_id, position, stiffness, ivc, kind, moving
         As in `Anchors`; without `kind` all are springs. The stiffness of passive atoms is not looked at.
     damping_time : float or None
-        s; gamma is the atom's mass over it. None: no damper and no thermostat.
+        s; gamma is the atom's mass over it, times `damping_share`. None: no damper and no thermostat.
     atom_mass : ndarray, shape (n,)
         Mass of each atom of the sample, kg.
+    damping_share : array_like, shape (k,), optional
+        Factor on each damper, above 0 and at most 1; all 1 without.
 
     Raises
     ------
@@ -173,6 +191,11 @@ def checked_anchors(
     if damping_time is not None and not (np.isfinite(damping_time) and damping_time > 0.0):
         raise ValueError(f"damping_time is {damping_time} s; it must be finite and positive, or absent")
     gamma = np.zeros(len(ids)) if damping_time is None else atom_mass[ids] / damping_time
+    if damping_share is not None:
+        share = finite_array("damping_share", damping_share, (len(ids),))
+        if not ((share > 0.0) & (share <= 1.0)).all():
+            raise ValueError(f"damping_share holds {share.min()} to {share.max()}; allowed is above 0 to 1")
+        gamma *= share
     return Anchors(
         atom_id=ids,
         position=finite_array("position", position, (len(ids), 3)),

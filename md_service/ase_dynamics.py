@@ -123,6 +123,7 @@ class AseFactory:
     backend = "ase"
     summary = "molecular dynamics with any ASE calculator"
     ensembles = ("langevin", "nose-hoover", "berendsen", "andersen")
+    severs = False
 
     def force_fields(self) -> list[str]:
         """Built-in calculators and those of other packages."""

@@ -9,12 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from md_service.atoms import Atoms, Box
+from md_service.bonds import bonded_pairs
+from md_service.cuts import Cut, sides
 from md_service.data_file import write_data_file
 from md_service.errors import EngineError
 from md_service.force_fields import ForceField
 from md_service.lammps_library import LammpsSession
 from md_service.ranks import OneRank, Ranks
 
+_MOST_CUTS = 12  # of two groups each; LAMMPS has 32, of which anchors take five
 _LARGEST_STEP = 0.2e-10  # m moved in one step: a carbon atom of 100 eV at 0.5 fs
 _KNOBS = "try a smaller time step, softer anchors, or a force field without an abrupt cut-off"
 
@@ -67,6 +70,7 @@ class AtomSystem:
         self.ranks: Ranks = OneRank() if ranks is None else ranks
         self._work_dir = work_dir
         self._force_field_commands = force_field.commands(work_dir, atoms)
+        self._margin = margin
         free = ~np.array(atoms.box.periodic)
         low, high = atoms.position.min(axis=0) - margin, atoms.position.max(axis=0) + margin
         self._box = Box(
@@ -75,7 +79,11 @@ class AtomSystem:
         self.session = LammpsSession(work_dir / "log.lammps", alone=self.ranks.size == 1)
 
     def build(
-        self, position: NDArray[np.float64], velocity: NDArray[np.float64] | None = None, box: Box | None = None
+        self,
+        position: NDArray[np.float64],
+        velocity: NDArray[np.float64] | None = None,
+        box: Box | None = None,
+        cuts: tuple[Cut, ...] = (),
     ) -> None:
         """Clear LAMMPS and make the atoms anew, at LAMMPS step 0, with no fix but the force field's own.
 
@@ -85,6 +93,13 @@ class AtomSystem:
             m, not wrapped, and m/s; at rest without velocity.
         box : Box, optional
             In place of the sample's, for boxes that have changed.
+        cuts : tuple of Cut
+            Lines across which the atoms do not act on each other.
+
+        Raises
+        ------
+        EngineError
+            If there are more cuts than LAMMPS has groups for.
         """
         path = self._work_dir / "atoms.data"
         if self.ranks.rank == 0:
@@ -115,6 +130,31 @@ class AtomSystem:
         made = int(self.session.lmp.get_natoms())
         if made != self.n_atoms:
             raise EngineError(f"{self.n_atoms - made} of {self.n_atoms} atoms lie outside of the box")
+        if cuts:
+            self._sever(cuts)
+
+    def _sever(self, cuts: tuple[Cut, ...]) -> None:
+        """Take pairs across cuts out of the neighbour lists, which all that LAMMPS knows of pairs is made of."""
+        if len(cuts) > _MOST_CUTS:
+            raise EngineError(f"there are {len(cuts)} cuts apart from each other; LAMMPS has groups for {_MOST_CUTS}")
+        pairs, _ = bonded_pairs(self.atoms)
+        rows = self.local_rows()
+        self.session.commands(["fix cut_data all property/atom i_cut_side"])
+        for number, cut in enumerate(cuts):
+            upper, lower = sides(cut, self.atoms, pairs)
+            side = self.session.lmp.numpy.extract_atom("i_cut_side")
+            side[: len(rows)] = np.where(upper, 1, np.where(lower, 2, 0))[rows]
+            names = [f"cut_{number}_upper", f"cut_{number}_lower"]
+            for value, name in enumerate(names, start=1):
+                self.session.commands(
+                    [
+                        f"variable of_side atom i_cut_side=={value}",
+                        f"group {name} variable of_side",
+                        "variable of_side delete",
+                    ]
+                )
+            self.session.commands([f"neigh_modify exclude group {names[0]} {names[1]}"])
+        self.session.commands(["unfix cut_data"])
 
     def local_rows(self) -> NDArray[np.int64]:
         """Rows of the atoms that this rank owns, in LAMMPS' present order."""
@@ -139,6 +179,13 @@ class AtomSystem:
         low, high, xy, yz, xz, _, _ = self.session.lmp.extract_box()
         unit = self.units.length
         return Box(np.array(low) * unit, np.array(high) * unit, self.atoms.box.periodic, np.array([xy, xz, yz]) * unit)
+
+    def box_around(self, position: NDArray[np.float64]) -> Box:
+        """The box now, grown in free directions until it holds positions, m, shape (n, 3), with their margin."""
+        box, free = self.box(), ~np.array(self.atoms.box.periodic)
+        low = np.minimum(box.low, position.min(axis=0) - self._margin)
+        high = np.maximum(box.high, position.max(axis=0) + self._margin)
+        return Box(np.where(free, low, box.low), np.where(free, high, box.high), box.periodic, box.tilt)
 
     def local_position(self) -> NDArray[np.float64]:
         """Positions of this rank's atoms, not wrapped, in LAMMPS units, shape (local, 3)."""
@@ -224,6 +271,10 @@ class AtomSystem:
         energy = 0.5 * self.units.velocity**2 * self.mass[rows] * np.einsum("ij,ij->i", velocity, velocity)
         total: NDArray[np.float64] = np.bincount(group[rows], weights=energy, minlength=groups).astype(np.float64)
         return total
+
+    def local_momentum(self) -> NDArray[np.float64]:
+        """Momentum of this rank's atoms, kg m/s, shape (3,)."""
+        return np.asarray(self.mass[self.local_rows()] @ self.local("v") * self.units.velocity)
 
     def potential_energy(self) -> float:
         """Potential energy at the end of the last run, J; without the anchors' springs."""

@@ -11,7 +11,8 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from md_service.atoms import Atoms
+from md_service.atoms import Atoms, CrackCut
+from md_service.cuts import Cut, crack_with, crossing, severed
 from md_service.force_fields import ForceField
 from md_service.neighbour_pairs import neighbour_pairs
 
@@ -40,10 +41,10 @@ class BondReport:
     ----------
     broken : int
         Bonds longer than the force field's switching end; where it switches nothing off, longer than `BROKEN` times
-        their length in the reference.
+        their length in the reference; and those that a cut severed.
     tip_x : float
-        Largest reference x of the middles of broken bonds connected to the initial slit, m; the slit's own tip
-        while none is, and nan for a sample without slit.
+        Largest reference x of the middles of broken bonds connected to the initial slit, m, and the end of a cut that
+        is connected to it; the slit's own tip while none is, and nan for a sample without slit or cut.
     longest_length : float
         Length of the longest unbroken bond, m; nan in a sample without bonds.
     longest_atoms : tuple of int
@@ -85,10 +86,15 @@ class Bonds:
         Rows of the bonded atoms, the lower one first, sorted.
     limit : ndarray, shape (b,)
         Length above which each bond is broken, m.
+    severed : ndarray of bool, shape (b,)
+        Bonds that cuts severed, which are broken at any length.
+    crack : CrackCut or None
+        The slit, as cuts lengthened it; of a sample without slit its first cut.
     """
 
     def __init__(self, atoms: Atoms, force_field: ForceField | None) -> None:
-        self.pairs, shift = _bonded_pairs(atoms)
+        self._atoms = atoms
+        self.pairs, shift = bonded_pairs(atoms)
         self._first, self._second = self.pairs.T.copy()
         # Positions are not wrapped, so the image in which a neighbour was found stays the one it is bonded to.
         self._shift = shift.T.copy() if shift.any() else None
@@ -105,22 +111,46 @@ class Bonds:
             if end - start > _SHARPEST_WINDOW:
                 self._sticking_from[switched] = (1.0 - _STICKING_RANGE) * start
                 self._sticking_to[switched] = (1.0 + _STICKING_RANGE) * start
-        self._crack = atoms.crack
-        self._broken_before = np.zeros(len(length), dtype=bool)
-        self._tip_before = np.nan if atoms.crack is None else atoms.crack.tip_x
+        self._spacing = float(np.median(length)) if atoms.spacing is None and len(length) else atoms.spacing or 0.0
         self._links = csr_array((len(length), len(length)))  # bonds of one ring of atoms
-        self._at_slit = np.zeros(len(length), dtype=bool)
-        if atoms.crack is not None and len(length):
-            spacing = float(np.median(length)) if atoms.spacing is None else atoms.spacing
-            links = cKDTree(self._middle).query_pairs(_ONE_RING * spacing, output_type="ndarray")
-            self._links = csr_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=self._links.shape)
-            x, y = self._middle[:, 0], self._middle[:, 1]
-            left = -np.inf if atoms.crack.left_x is None else atoms.crack.left_x
-            beyond = np.maximum(np.maximum(x - atoms.crack.tip_x, left - x), 0.0)
-            self._at_slit = np.hypot(beyond, y - atoms.crack.y) < _AROUND_SLIT * spacing
+        self.sever(())
 
     def __len__(self) -> int:
         return len(self.pairs)
+
+    def sever(self, cuts: tuple[Cut, ...]) -> None:
+        """Take over all cuts through the sample."""
+        self.severed = np.zeros(len(self), dtype=bool)
+        self._end = self._middle[:, 0].copy()  # where a broken bond brings the tip
+        for cut in cuts:
+            of_cut = severed(cut, self._atoms, self.pairs)
+            self.severed |= of_cut
+            self._end[of_cut] = min(cut.to_x, self._atoms.position[:, 0].max())
+        self.crack = crack_with(self._atoms.crack, cuts, self._atoms)
+        self._find_slit(self.crack)
+
+    def _find_slit(self, crack: CrackCut | None) -> None:
+        """Which bonds are at the slit, from where the tip's way is followed from bond to bond."""
+        self._broken_before = np.zeros(len(self), dtype=bool)
+        self._tip_before = np.nan if crack is None else crack.tip_x
+        self._at_slit = np.zeros(len(self), dtype=bool)
+        if crack is None or not len(self):
+            return
+        if not self._links.nnz:
+            links = cKDTree(self._middle).query_pairs(_ONE_RING * self._spacing, output_type="ndarray")
+            self._links = csr_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=self._links.shape)
+        x, y = self._middle[:, 0], self._middle[:, 1]
+        left = -np.inf if crack.left_x is None else crack.left_x
+        beyond = np.maximum(np.maximum(x - crack.tip_x, left - x), 0.0)
+        self._at_slit = np.hypot(beyond, y - crack.y) < _AROUND_SLIT * self._spacing
+
+    def crossed(self, cut: Cut) -> int:
+        """Number of bonds that a line crosses."""
+        return int(np.count_nonzero(crossing(cut, self._atoms.position, self.pairs)))
+
+    def broken(self, length: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which bonds of these lengths, m, shape (b,), are broken."""
+        return (length > self.limit) | self.severed
 
     def lengths(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
         """Lengths of all bonds, m, shape (b,), for positions (n, 3) in m that are not wrapped."""
@@ -143,7 +173,7 @@ class Bonds:
             Current positions, m, not wrapped, rows as in the reference.
         """
         length = self.lengths(position)
-        broken = length > self.limit
+        broken = self.broken(length)
         whole = np.where(broken, 0.0, length)
         if not whole.any():
             return BondReport(int(broken.sum()), self._tip_x(broken), np.nan, (), np.full(3, np.nan), 0)
@@ -159,7 +189,7 @@ class Bonds:
 
     def sticking(self, length: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Which unbroken bonds, shape (b,), are stretched to the start of the switching function."""
-        return (length > self._sticking_from) & (length < self._sticking_to)
+        return (length > self._sticking_from) & (length < self._sticking_to) & ~self.severed
 
     def middle(self, position: NDArray[np.float64], bond: int) -> NDArray[np.float64]:
         """Middle of a bond, m, shape (3,)."""
@@ -167,10 +197,10 @@ class Bonds:
         return 0.5 * (position[self._first[bond]] + position[self._second[bond]] + shift)
 
     def _tip_x(self, broken: NDArray[np.bool_]) -> float:
-        if self._crack is None:
+        if self.crack is None:
             return float("nan")
         if not np.array_equal(broken, self._broken_before):
-            self._broken_before, self._tip_before = broken, self._tip_of(broken, self._crack.tip_x)
+            self._broken_before, self._tip_before = broken, self._tip_of(broken, self.crack.tip_x)
         return self._tip_before
 
     def _tip_of(self, broken: NDArray[np.bool_], tip_x: float) -> float:
@@ -179,10 +209,10 @@ class Bonds:
             return tip_x
         _, cluster = connected_components(self._links[rows][:, rows], directed=False)
         of_crack = rows[np.isin(cluster, cluster[self._at_slit[rows]])]
-        return max(tip_x, float(self._middle[of_crack, 0].max(initial=tip_x)))
+        return max(tip_x, float(self._end[of_crack].max(initial=tip_x)))
 
 
-def _bonded_pairs(atoms: Atoms) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def bonded_pairs(atoms: Atoms) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return pairs of bonded rows (b, 2), and what to add to the second position to reach its partner, m, (b, 3)."""
     box = atoms.box
     if atoms.topology is not None:
@@ -205,7 +235,7 @@ def _bonded_pairs(atoms: Atoms) -> tuple[NDArray[np.int64], NDArray[np.float64]]
 
 
 def _pairs_within(atoms: Atoms, reach: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Like `_bonded_pairs`, by distance; positions need not be wrapped."""
+    """Like `bonded_pairs`, by distance; positions need not be wrapped."""
     if not any(atoms.box.periodic):
         first, second, shift = neighbour_pairs(atoms, reach)
         return _sorted(np.column_stack([first, second]), shift)

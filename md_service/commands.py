@@ -164,9 +164,13 @@ def _resin(function: Function) -> Function:
 
 @sample.command()
 @click.option("--units", type=click.IntRange(1), required=True, help="Units of 2 DGEBF and 1 DETDA, 117 atoms each.")
+@click.option("--aspect", type=click.FloatRange(0.0, min_open=True), default=1.0, show_default=True,
+              help="Width of the box along x and y over its depth along z; above 1 a slab.")  # fmt: skip
 @_resin
 @_output
-def epoxy(units: int, conversion: float, temperature: Value, seed: int, out: Path, picture: Path | None) -> None:
+def epoxy(
+    units: int, aspect: float, conversion: float, temperature: Value, seed: int, out: Path, picture: Path | None
+) -> None:
     """Cross-linked EPON 862/DETDA epoxy in a periodic box."""
     from tempfile import TemporaryDirectory
 
@@ -181,8 +185,62 @@ def epoxy(units: int, conversion: float, temperature: Value, seed: int, out: Pat
             seed=seed,
             work_dir=Path(folder),
             progress=_say,
+            aspect=aspect,
         )
     _finish(built, _profile("opls-aa"), out, picture)
+
+
+@sample.command()
+@click.argument("source", metavar="SAMPLE")
+@click.option("--force-field", metavar="NAME", required=True)
+@click.option("--time", type=Quantity("time", least=0.0), required=True, help="For which the atoms move.")
+@click.option("--time-step", type=Quantity("time", least=0.0), help="Instead of the force field's own.")
+@click.option("--temperature", type=Quantity("temperature", least=0.0), default="300 K", show_default=True)
+@click.option("--density", type=Quantity("density", least=0.0), help="To which the box shrinks or grows.")
+@click.option("--seed", type=click.IntRange(1), default=1, show_default=True, help="Of velocities and thermostat.")
+@_output
+def relaxed(
+    source: str,
+    force_field: str,
+    time: Value,
+    time_step: Value | None,
+    temperature: Value,
+    density: Value | None,
+    seed: int,
+    out: Path,
+    picture: Path | None,
+) -> None:
+    """A periodic sample, moved on with another force field at constant volume or to a density.
+
+    SAMPLE is a data file, or the name of a sample that comes with the package. Bonds and types of the sample are kept.
+    """
+    from tempfile import TemporaryDirectory
+
+    from md_service.data_file import read_data_file
+    from md_service.sample_relaxation import relaxed as relax
+    from md_service.sample_source import shipped_samples
+
+    _check_files(out, picture)
+    path = shipped_samples().get(source, Path(source))
+    if not path.is_file():
+        raise click.BadParameter(f"there is no file {source!r}, and no sample of this name", param_hint="SAMPLE")
+    atoms = read_data_file(path)[0]
+    profile = _profile(force_field)
+    with TemporaryDirectory() as folder:
+        built = relax(
+            atoms,
+            profile,
+            float(time),
+            temperature=float(temperature),
+            density=None if density is None else float(density),
+            seed=seed,
+            time_step=None if time_step is None else float(time_step),
+            work_dir=Path(folder),
+            progress=_say,
+        )
+    first = str(atoms.notes.get("command", source))
+    _finish(replace(built, notes={**atoms.notes, "density": built.density, "built_by": first}),
+            _profile("opls-aa") if atoms.topology is not None else profile, out, picture)  # fmt: skip
 
 
 @sample.command()

@@ -1,4 +1,4 @@
-"""Builders of crystals for verification: face-centred cubic, and close-packed in two dimensions."""
+"""Builders of crystals for verification: face-centred cubic, close-packed in two dimensions, and one row of atoms."""
 
 from __future__ import annotations
 
@@ -145,6 +145,53 @@ def hexagonal(
         site_volume=spacing * row_distance * plane_distance(spacing),
         crack=crack,
         notes={"material": "hexagonal"},
+    )
+
+
+def chain(spacing: float, length: float, *, element: str = "Ar", periodic: bool = False) -> Atoms:
+    """Build one row of atoms along x, centred on the origin: a close-packed row of `hexagonal`.
+
+    An atom has the volume that it has in a sheet. Springs k between neighbours then make a bar of the cross-section
+    A = a^2 / sqrt(2) with Young's modulus k a / A = 2 k / (sqrt(3) t), that of the sheet, and its density.
+
+    Parameters
+    ----------
+    spacing : float
+        Nearest-neighbour distance a, m.
+    length : float
+        Wanted length along x, m; the nearest number of whole spacings is built.
+    element : str
+        Chemical symbol, of which the mass is taken.
+    periodic : bool
+        Whether the row repeats along x.
+
+    Returns
+    -------
+    Atoms
+        From left to right. The box is the bar, whose thickness along z is `plane_distance`.
+
+    Raises
+    ------
+    ValueError
+        For an unknown element, a spacing that is not positive, or fewer than three atoms.
+    """
+    mass = _mass(element, spacing)
+    count = whole_cells(length / spacing)
+    if count < 3:
+        raise ValueError(f"width {length} m holds {count} atoms {spacing:.4g} m apart; at least 3 are needed")
+    x = (np.arange(count, dtype=np.float64) - 0.5 * (count - 1)) * spacing
+    half = 0.5 * np.array([count * spacing, 0.5 * math.sqrt(3.0) * spacing, plane_distance(spacing)])
+    return Atoms(
+        position=np.column_stack([x, np.zeros(count), np.zeros(count)]),
+        kind=np.zeros(count, dtype=np.int64),
+        species=(element,),
+        elements=(element,),
+        mass=mass,
+        box=Box(-half, half, (periodic, False, False)),
+        spacing=spacing,
+        thickness=plane_distance(spacing),
+        site_volume=float(np.prod(2.0 * half)) / count,
+        notes={"material": "chain"},
     )
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from md_service.anchors import Anchors
 from md_service.atoms import Atoms, Box
+from md_service.cuts import Cut
 from md_service.ensembles import Ensemble
 
 State = dict[str, NDArray[np.float64]]
@@ -36,9 +37,11 @@ class Window:
     potential_energy : float
         At the end, J, without the springs.
     thermostat_work : float
-        Work on the atoms since the last `adopt`, `minimise` or `restore` of everything that is not a conservative
-        force of spring or atoms: friction and noise of thermostats and dampers, dampers' carrying term, and what
-        passive atoms do as they move, J.
+        Work on the atoms since the last `adopt`, `minimise`, `displace`, `sever` or `restore` of everything that is not
+        a conservative force of spring or atoms: friction and noise of thermostats and dampers, dampers' carrying term,
+        and what passive atoms do as they move, J.
+    momentum : ndarray, shape (3,)
+        Of all atoms at the end, kg m/s.
     tallied : bool
         Whether the window's end is one at which `virial_and_energy` is at hand, if `tally` asked for it.
     """
@@ -51,6 +54,7 @@ class Window:
     kinetic_inner: float
     potential_energy: float
     thermostat_work: float
+    momentum: NDArray[np.float64]
     tallied: bool = True
 
 
@@ -62,13 +66,15 @@ class Dynamics(Protocol):
     atoms : Atoms
         The sample as given: reference positions, masses, box.
     dimension : int
-        Degrees of freedom of an atom: 3, or 2 where atoms stay in a plane.
+        Degrees of freedom of an atom: 3, 2 where atoms stay in a plane, 1 where they stay on a line along x.
     time_step : float
         s.
     step : int
         Steps done.
     anchors : Anchors or None
         As adopted; `Engine` changes the anchors' position and velocity in place, then calls `move_anchors`.
+    cuts : tuple of Cut
+        Lines across which the atoms do not act on each other.
     failure : str
         Why the code stopped, empty while it has not; only `restore` clears it.
     """
@@ -78,6 +84,7 @@ class Dynamics(Protocol):
     time_step: float
     step: int
     anchors: Anchors | None
+    cuts: tuple[Cut, ...]
     failure: str
 
     def adopt(self, anchors: Anchors | None) -> None:
@@ -88,6 +95,21 @@ class Dynamics(Protocol):
 
         Held anchors (``anchors.moving`` false) stay for the window; passive atoms are put to their places. Moving
         ones start a window at ``anchors.position`` and move with ``anchors.velocity``.
+        """
+
+    def displace(self, displacement: NDArray[np.float64]) -> None:
+        """Move all atoms at once, by (n, 3) in m, with the anchors where `anchors` has them now.
+
+        Velocities and counters stay. Passive atoms are put to their anchors.
+        """
+
+    def sever(self, cuts: tuple[Cut, ...]) -> None:
+        """Sever the atoms across these lines, and no others.
+
+        Raises
+        ------
+        EngineError
+            If the code cannot.
         """
 
     def hold(self, ensemble: Ensemble | None) -> None:

@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from md_service.anchors import SURFACE, Anchors, checked_anchors, finite_array
+from md_service.atoms import CrackCut
 from md_service.bonds import BondReport
+from md_service.cuts import Cut, joined
 from md_service.dynamics import Dynamics, Window
 from md_service.ensembles import Ensemble
 from md_service.errors import EngineError
@@ -20,7 +22,7 @@ from md_service.field_means import FIELD_NAMES, FieldMeans
 from md_service.force_fields import ForceField
 from md_service.fracture_guard import FractureGuard
 from md_service.ranks import OneRank, Ranks
-from md_service.results import Advance, Equilibration, Reference
+from md_service.results import Advance, Equilibration, Reference, Severing
 from md_service.settling import Settler
 from md_service.statistics import (
     HISTORY_LENGTH,
@@ -85,6 +87,16 @@ class Engine:
         return self.dynamics.step
 
     @property
+    def crack(self) -> CrackCut | None:
+        """The sample's crack as cuts lengthened it, in the undeformed sample; None without one."""
+        return self._guard.bonds.crack
+
+    @property
+    def cuts(self) -> tuple[Cut, ...]:
+        """Lines along which atoms were severed."""
+        return self.dynamics.cuts
+
+    @property
     def anchors(self) -> Anchors | None:
         """The anchors, once registered."""
         return self.dynamics.anchors
@@ -100,6 +112,7 @@ class Engine:
         damping_time: float | None = None,
         kind: ArrayLike | None = None,
         moving: bool = False,
+        damping_share: ArrayLike | None = None,
     ) -> None:
         """Tie atoms to anchors, at rest until the first `advance`.
 
@@ -120,6 +133,8 @@ class Engine:
             0 spring, 1 passive, 2 surface (`md_service.anchors`); all springs without it.
         moving : bool
             Whether anchors move with their velocity during a window.
+        damping_share : array_like, shape (k,), optional
+            Factor on each damper, above 0 and at most 1; all 1 without it.
 
         Raises
         ------
@@ -128,16 +143,14 @@ class Engine:
         """
         self._check_alive()
         anchors = checked_anchors(
-            atom_id, position, stiffness, ivc, damping_time, self.atoms.atom_mass, kind, moving
-        )  # fmt: skip
+            atom_id, position, stiffness, ivc, damping_time, self.atoms.atom_mass, kind, moving, damping_share
+        )
         self._adopt(anchors)
 
     def _adopt(self, anchors: Anchors) -> None:
         self.dynamics.adopt(anchors)
         self.reference = None
-        self._counted = 0.0
-        self._position = None
-        self._forget_history()
+        self._begin_after_change()
 
     # Long runs with anchors at rest ---------------------------------------------------------------------------
 
@@ -367,7 +380,80 @@ class Engine:
             spring_energy=anchors.spring_energy(last.position, anchors.end_position(window, self.time_step)),
             anchor_work=self._anchor_work,
             thermostat_work=self._thermostat_work,
+            momentum=last.momentum,
         )
+
+    def displace(self, displacement: ArrayLike, anchor_position: ArrayLike) -> None:
+        """Move all atoms and all anchors at once, as a load does that is there from the start.
+
+        Velocities, the reference, fields and counters stay, and no work is counted. The scatter of windows so far,
+        which was under another load, is forgotten.
+
+        Parameters
+        ----------
+        displacement : array_like, shape (n, 3)
+            Added to the positions, m.
+        anchor_position : array_like, shape (k, 3)
+            Of the anchors after it, m.
+
+        Raises
+        ------
+        ValueError
+            For bad input.
+        EngineError
+            If there are no anchors.
+        """
+        anchors = self._anchors_at_hand()
+        moved = finite_array("displacement", displacement, (self.n_atoms, 3))
+        anchors.position = finite_array("anchor_position", anchor_position, anchors.position.shape)
+        self.dynamics.displace(moved)
+        self._begin_after_change()
+
+    def sever(self, from_x: float, to_x: float, y: float) -> Severing:
+        """Sever the atoms along a line: those on one side no longer act on those on the other.
+
+        Severed bonds count as broken, and the crack's tip goes on from the line's end where the line begins at it. A
+        line that touches an earlier one lengthens it.
+
+        Parameters
+        ----------
+        from_x, to_x : float
+            Where the line begins and ends in the undeformed sample, m.
+        y : float
+            Its height, m.
+
+        Returns
+        -------
+        Severing
+
+        Raises
+        ------
+        ValueError
+            For bad input.
+        EngineError
+            If the code cannot sever its forces.
+        """
+        self._check_alive()
+        for name, value in (("from_x", from_x), ("to_x", to_x), ("y", y)):
+            if not np.isfinite(value):
+                raise ValueError(f"{name} is {value} m; it must be finite")
+        if not to_x > from_x:
+            raise ValueError(f"to_x is {to_x} m; it must be above from_x, {from_x} m")
+        low, high = self.atoms.position[:, 1].min(), self.atoms.position[:, 1].max()
+        if not low < y < high:
+            raise ValueError(f"y is {y} m; the sample spans {low} to {high} m along y")
+        cut = Cut(float(from_x), float(to_x), float(y))
+        before = float(self.dynamics.virial_and_energy()[1].sum())
+        self.dynamics.sever(joined(self.dynamics.cuts, cut, self.atoms))
+        self._guard.sever(self.dynamics.cuts)
+        self._begin_after_change()
+        return Severing(self._guard.bonds.crossed(cut), float(self.dynamics.virial_and_energy()[1].sum()) - before)
+
+    def _begin_after_change(self) -> None:
+        """The dynamics counts work anew, and the scatter of windows so far is that of another state."""
+        self._counted = 0.0
+        self._position = None
+        self._forget_history()
 
     def _window(self, window: int) -> tuple[NDArray[np.float64], Window]:
         """Run one window; count its work and remember its mean force per volume cell."""
@@ -552,6 +638,7 @@ class Engine:
                 finite_array(f"state.{_ENGINE}{name}", own[name], shape)
         counters = finite_array(f"state.{_ENGINE}counters", own["counters"], (4,))
         self.dynamics.restore({name: value for name, value in state.items() if not name.startswith(_ENGINE)})
+        self._guard.sever(self.dynamics.cuts)
         self._history_window = int(counters[1])
         self._anchor_work, self._thermostat_work = float(counters[2]), float(counters[3])
         self._history = np.array(own["history"])

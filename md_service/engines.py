@@ -38,6 +38,10 @@ class EngineFactory(Protocol):
     def ensembles(self) -> tuple[str, ...]:
         """Thermostats of `md_service.ensembles` that `Dynamics.hold` knows, besides ``none``."""
 
+    @property
+    def severs(self) -> bool:
+        """Whether its atoms can be severed along a line."""
+
     def force_fields(self) -> list[str]:
         """Names of the force fields, the one to try first first."""
 
@@ -99,6 +103,7 @@ class LammpsFactory:
     backend = "md_service"
     summary = "molecular dynamics by LAMMPS"
     ensembles = ("langevin", "nose-hoover", "berendsen", "andersen")
+    severs = True
 
     def force_fields(self) -> list[str]:
         """Names of the profiles."""

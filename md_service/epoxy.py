@@ -42,6 +42,7 @@ def build_epoxy(
     platelet: Molecule | None = None,
     schedule: Schedule | None = None,
     progress: Callable[[str], None] | None = None,
+    aspect: float = 1.0,
 ) -> Atoms:
     """Build a cross-linked epoxy, at rest at a temperature and at atmospheric pressure.
 
@@ -63,16 +64,19 @@ def build_epoxy(
         Times of the relaxation.
     progress : callable, optional
         Given a line of text after each part.
+    aspect : float
+        Width of the box along x and y over its depth along z: above 1 a slab, thin along z.
 
     Returns
     -------
     Atoms
-        Typed for OPLS-AA, in a periodic cube. Notes hold seed, units, conversion, density (kg/m^3).
+        Typed for OPLS-AA, in a periodic box, a cube without `aspect`. Notes hold seed, units, conversion, density
+        (kg/m^3).
 
     Raises
     ------
     ValueError
-        If units is not positive, or the conversion is not between 0 and 1.
+        If units or aspect is not positive, or the conversion is not between 0 and 1.
     EngineError
         If LAMMPS stops, or the sample fails a check.
     """
@@ -80,13 +84,15 @@ def build_epoxy(
         raise ValueError(f"units is {units}; at least one is needed")
     if not 0.0 <= conversion <= 1.0:
         raise ValueError(f"conversion is {conversion}; it must lie between 0 and 1")
+    if not aspect > 0.0:
+        raise ValueError(f"aspect is {aspect}; it must be positive")
     if work_dir is None:
         with tempfile.TemporaryDirectory() as folder:
-            return build_epoxy(units, conversion, temperature, seed, Path(folder), platelet, schedule, progress)
+            return build_epoxy(units, conversion, temperature, seed, Path(folder), platelet, schedule, progress, aspect)
     tell = progress or (lambda line: None)
     atoms = pack(UNIT * units, seed, platelet)
     tell(f"packed {len(atoms)} atoms at {atoms.density:.0f} kg/m3")
-    atoms = compress(atoms, MELT_DENSITY, HOT, seed, work_dir)
+    atoms = compress(atoms, MELT_DENSITY, HOT, seed, work_dir, aspect=aspect)
     tell(f"compressed to {atoms.density:.0f} kg/m3")
     atoms = cure(atoms, conversion, seed, work_dir, progress)
     atoms, density = relax(atoms, temperature, seed, work_dir, schedule)

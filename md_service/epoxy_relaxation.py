@@ -121,10 +121,11 @@ class ResinRun:
         self._unfix(fixes)
         return np.array(density)
 
-    def squeeze(self, steps: int, density: float, temperature: float) -> None:
-        """Shrink or stretch the box evenly in time to a density, kg/m^3."""
-        edge = float(self._source.atom_mass.sum() / density) ** (1.0 / 3.0) / REAL.length
-        ends = " ".join(f"{axis} final 0.0 {edge!r}" for axis in "xyz")
+    def squeeze(self, steps: int, density: float, temperature: float, aspect: float) -> None:
+        """Shrink or stretch the box evenly in time to a density, kg/m^3, and to a width over depth."""
+        depth = float(self._source.atom_mass.sum() / density / aspect**2) ** (1.0 / 3.0) / REAL.length
+        width = aspect * depth
+        ends = " ".join(f"{axis} final 0.0 {edge!r}" for axis, edge in zip("xyz", (width, width, depth), strict=True))
         self._run(
             steps,
             [
@@ -162,7 +163,15 @@ class ResinRun:
         self.session.commands([f"unfix {fix.split()[1]}" for fix in fixes])
 
 
-def compress(atoms: Atoms, density: float, temperature: float, seed: int, work_dir: Path, time: float = 6e-12) -> Atoms:
+def compress(
+    atoms: Atoms,
+    density: float,
+    temperature: float,
+    seed: int,
+    work_dir: Path,
+    time: float = 6e-12,
+    aspect: float = 1.0,
+) -> Atoms:
     """Bring packed molecules to the density of a melt by shrinking the box.
 
     Parameters
@@ -177,11 +186,13 @@ def compress(atoms: Atoms, density: float, temperature: float, seed: int, work_d
     work_dir : Path
     time : float
         That the compression takes, s.
+    aspect : float
+        Width of the box along x and y over its depth along z.
     """
     run = ResinRun(work_dir, atoms, temperature, seed, CONTACT_STYLES)
     try:
         run.damp(100, temperature)
-        run.squeeze(round(time / STEP), density, temperature)
+        run.squeeze(round(time / STEP), density, temperature, aspect)
         return run.atoms()
     finally:
         run.close()
@@ -240,7 +251,8 @@ def relax(
     run = ResinRun(work_dir, atoms, temperature, seed)
     try:
         density = run.hold(round(plan.holding / STEP), temperature, temperature, ATMOSPHERE)
-        run.squeeze(100, float(density[len(density) // 2 :].mean()), temperature)
+        edge = atoms.box.high - atoms.box.low
+        run.squeeze(100, float(density[len(density) // 2 :].mean()), temperature, float(edge[0] / edge[2]))
         run.hold(100, temperature, temperature)
         return run.atoms(), density
     finally:

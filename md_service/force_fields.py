@@ -166,6 +166,14 @@ class ForceField:
         slope = (length[upper] - length[upper - 1]) / (kelvin[upper] - kelvin[upper - 1])
         return length[upper] + slope * (temperature - kelvin[upper])
 
+    def severing_trap(self, atoms: Atoms) -> str:
+        """Why a sample with this force field cannot be severed along a line; empty where it can."""
+        if atoms.topology is not None and self.atom_style == "full":
+            return f"force field {self.name} holds molecules together by lists of bonds, which a cut does not sever"
+        if any(line.startswith("kspace_style") for line in self.styles):
+            return f"force field {self.name} has forces by kspace_style, which know no pairs that a cut could sever"
+        return ""
+
     def commands(self, work_dir: Path, atoms: Atoms) -> list[str]:
         """LAMMPS commands that set this force field, once the atoms and their masses are there.
 

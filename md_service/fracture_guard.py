@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from md_service.atoms import Atoms
 from md_service.bonds import BondReport, Bonds
+from md_service.cuts import Cut
 from md_service.force_fields import ForceField
 
 _ANGSTROM = 1e-10  # m
@@ -57,6 +58,10 @@ class FractureGuard:
         field = self._force_field
         return 0.0 if field is None or field.cut_energy is None else self._broken * field.cut_energy
 
+    def sever(self, cuts: tuple[Cut, ...]) -> None:
+        """Take over all cuts through the sample."""
+        self.bonds.sever(cuts)
+
     def report(self, position: NDArray[np.float64]) -> BondReport:
         """State of the bonds, with a warning while one sticks, or once one was cut.
 
@@ -69,14 +74,15 @@ class FractureGuard:
             Current positions, m, not wrapped.
         """
         report = self.bonds.report(position)
-        self._broken = report.broken
+        # A bond that a cut severed is none that the force field cut.
+        self._broken = report.broken - int(np.count_nonzero(self.bonds.severed))
         field = self._force_field
         if field is None or field.switching_start is None:
             return report
         if report.sticking:
             self._text = self._text or self._sticking_text(field, position)
             return replace(report, warning=self._text)
-        if report.broken and field.cut_energy is not None:
+        if self._broken and field.cut_energy is not None:
             self._text = self._text or self._cut_text(field, field.cut_energy, position)
             return replace(report, warning=self._text)
         return report
@@ -90,7 +96,8 @@ class FractureGuard:
         ).strip()
 
     def _cut_text(self, field: ForceField, cut_energy: float, position: NDArray[np.float64]) -> str:
-        bond = int(np.argmax(self.bonds.lengths(position) - self.bonds.limit))
+        over = self.bonds.lengths(position) - self.bonds.limit
+        bond = int(np.argmax(np.where(self.bonds.severed, -np.inf, over)))
         return (
             f"The bond of {self._named(bond, position)} is cut, with {cut_energy / _ELECTRONVOLT:.2f} eV of its energy "
             f"not spent. {field.cutoff_trap} {field.cure}"

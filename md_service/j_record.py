@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from md_service.atoms import Atoms
 from md_service.bonds import Bonds
+from md_service.cuts import Cut
 from md_service.field_blocks import FieldBlocks
 from md_service.force_fields import ForceField
 from md_service.j_meter import AtomFields, JMeter
@@ -58,6 +59,10 @@ class JRecord:
         self._bonds = Bonds(atoms, force_field)
         self._meter: tuple[tuple[float, ...], JMeter] | None = None
         self.begin()
+
+    def sever(self, cuts: tuple[Cut, ...]) -> None:
+        """Take over all cuts through the sample."""
+        self._bonds.sever(cuts)
 
     @property
     def samples(self) -> int:
@@ -131,7 +136,7 @@ class JRecord:
     ) -> JMeter:
         """The meter at a tip; its matrices are kept until tip, contours or broken bonds change."""
         bonds = self._bonds
-        without = np.unique(bonds.pairs[bonds.lengths(position) > bonds.limit])
+        without = np.unique(bonds.pairs[bonds.broken(bonds.lengths(position))])
         key = (*tip, *half_sizes, *without)
         if self._meter is None or self._meter[0] != key:
             meter = JMeter(

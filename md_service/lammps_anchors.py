@@ -25,6 +25,15 @@ ANCHORED: Final = "anchored"
 _INNER_NUMBER, _HANDSHAKE_NUMBER, _PASSIVE_NUMBER = 0, 1, 2
 
 
+#: Groups in LAMMPS are few.
+_MOST_DAMPERS: Final = 16
+
+
+def damper_group(number: int) -> str:
+    """Name of the group of anchored atoms that have one damping time."""
+    return f"damper_{number}"
+
+
 class LammpsAnchors:
     """Anchors of one built `AtomSystem`.
 
@@ -44,6 +53,15 @@ class LammpsAnchors:
         #: 0 for inner, 1 for anchored, 2 for passive atoms, shape (n,)
         self.group_of_atom = np.full(system.n_atoms, _INNER_NUMBER, dtype=np.int64)
         self.group_of_atom[anchors.atom_id] = np.where(anchors.passive, _PASSIVE_NUMBER, _HANDSHAKE_NUMBER)
+        mass = system.atoms.atom_mass[anchors.atom_id]
+        #: Distinct damping times, s; atoms of each are the group `damper_group`.
+        self.damping_times, which = anchors.damping_times(mass)
+        if len(self.damping_times) > _MOST_DAMPERS:
+            raise ValueError(
+                f"damping_share gives {len(self.damping_times)} distinct damping times; LAMMPS takes {_MOST_DAMPERS}"
+            )
+        self._damper_of_atom = np.full(system.n_atoms, -1, dtype=np.int64)
+        self._damper_of_atom[anchors.atom_id] = which
         self.has_passive = bool(anchors.passive.any())
         self.has_springs = not anchors.passive.all()
         self._periodic = system.atoms.box.periodic
@@ -54,15 +72,25 @@ class LammpsAnchors:
 
     def install(self) -> None:
         """Make arrays, groups and forces in LAMMPS; once after each build."""
-        self._command(["fix anchor_data all property/atom i_anchor_group d_anchor_k d2_anchor_c 3 d2_anchor_w 3"])
+        arrays = "i_anchor_group i_anchor_damper d_anchor_k d2_anchor_c 3 d2_anchor_w 3"
+        self._command([f"fix anchor_data all property/atom {arrays}"])
         rows = self._system.local_rows()
         self._system.session.lmp.numpy.extract_atom("i_anchor_group")[: len(rows)] = self.group_of_atom[rows]
+        self._system.session.lmp.numpy.extract_atom("i_anchor_damper")[: len(rows)] = self._damper_of_atom[rows]
         for group, number in ((HANDSHAKE, _HANDSHAKE_NUMBER), (PASSIVE, _PASSIVE_NUMBER)):
             self._command(
                 [
                     f"variable of_group atom i_anchor_group=={number}",
                     f"group {group} variable of_group",
                     "variable of_group delete",
+                ]
+            )
+        for number in range(len(self.damping_times)):
+            self._command(
+                [
+                    f"variable of_damper atom i_anchor_damper=={number}",
+                    f"group {damper_group(number)} variable of_damper",
+                    "variable of_damper delete",
                 ]
             )
         self._command([f"group {MOBILE} subtract all {PASSIVE}", f"group {ANCHORED} union {HANDSHAKE} {PASSIVE}"])

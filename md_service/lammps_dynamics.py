@@ -12,14 +12,15 @@ from md_service import units
 from md_service.anchors import Anchors, finite_array
 from md_service.atom_system import AtomSystem
 from md_service.atoms import Atoms, Box
+from md_service.cuts import Cut
 from md_service.dynamics import State, Window
 from md_service.ensembles import Ensemble
 from md_service.errors import EngineError
 from md_service.force_fields import ForceField
-from md_service.lammps_anchors import HANDSHAKE, MOBILE, LammpsAnchors
+from md_service.lammps_anchors import MOBILE, LammpsAnchors, damper_group
 from md_service.lammps_ensembles import TALLIED, THERMOSTAT, ensemble_commands, ensemble_removal_commands
 from md_service.ranks import Ranks
-from md_service.saved_state import packed_state, unpacked_state
+from md_service.saved_state import cuts_of, packed_state, unpacked_state
 
 _DAMPER: Final = "anchor_damper"  # fix
 _TALLY_INTERVAL: Final = 50  # steps at least between two tallies of virials
@@ -81,6 +82,7 @@ class LammpsDynamics:
         self.dimension = 2 if planar else 3
         self.step = 0
         self.anchors: Anchors | None = None
+        self.cuts: tuple[Cut, ...] = ()
         self.failure = ""
         self._temperature = float(temperature)
         self._seed = int(seed)
@@ -113,6 +115,18 @@ class LammpsDynamics:
         """Take over changed positions and velocities of the anchors."""
         if self._links is not None:
             self._links.write()
+
+    def displace(self, displacement: NDArray[np.float64]) -> None:
+        """Move all atoms at once; the box grows where they leave it in a free direction."""
+        position = self._system.position() + displacement
+        self._rebuild(position, self._system.velocity(), self._system.box_around(position))
+
+    def sever(self, cuts: tuple[Cut, ...]) -> None:
+        """Sever the atoms across lines, by excluding their pairs from LAMMPS' neighbour lists."""
+        if trap := self._system.force_field.severing_trap(self.atoms):
+            raise EngineError(trap)
+        self.cuts = cuts
+        self._reload()
 
     # Motion ---------------------------------------------------------------------------------------------------
 
@@ -156,12 +170,13 @@ class LammpsDynamics:
             self._sample_step = self.step
         # One reduction for everything: means and present positions of the anchored atoms, energies by group.
         n_anchors = len(anchors.atom_id)
-        packed = np.zeros(12 * n_anchors + 3)
+        packed = np.zeros(12 * n_anchors + 6)
         rows, means = links.local_means()
-        packed[:-3].reshape(n_anchors, 12)[rows] = means
-        packed[-3:] = self._system.kinetic_energy(links.group_of_atom, 3)
+        packed[:-6].reshape(n_anchors, 12)[rows] = means
+        packed[-6:-3] = self._system.kinetic_energy(links.group_of_atom, 3)
+        packed[-3:] = self._system.local_momentum()
         packed = self._system.ranks.sum(packed)
-        by_anchor = packed[:-3].reshape(n_anchors, 12)
+        by_anchor = packed[:-6].reshape(n_anchors, 12)
         unit = self._system.units
         self._end_position, self._end_step = by_anchor[:, 9:] * unit.length, self.step
         # Springs and dampers pull with c - k r, of which gamma v_a is the part that carries the atoms along.
@@ -178,10 +193,11 @@ class LammpsDynamics:
             mean_velocity=by_anchor[:, 3:6] * unit.velocity,
             mean_pair_force=pair_force,
             position=self._end_position,
-            kinetic_handshake=float(packed[-2]),
-            kinetic_inner=float(packed[-3]),
+            kinetic_handshake=float(packed[-5]),
+            kinetic_inner=float(packed[-6]),
             potential_energy=self._system.potential_energy(),
             thermostat_work=self._thermostat_work(),
+            momentum=packed[-3:].copy(),
             tallied=self._sample_step == self.step,
         )
 
@@ -250,7 +266,7 @@ class LammpsDynamics:
     def _collected_state(self) -> State:
         box = self._system.box()
         position, velocity = self._system.position(), self._system.velocity()
-        state = packed_state(position, velocity, (self.step, self._seed), self._ensemble, self.anchors)
+        state = packed_state(position, velocity, (self.step, self._seed), self._ensemble, self.anchors, self.cuts)
         return {**state, "box": np.concatenate([box.low, box.high, box.tilt])}
 
     def restore(self, state: State) -> None:
@@ -267,7 +283,7 @@ class LammpsDynamics:
         corners = finite_array("state.box", state["box"], (9,))
         box = Box(corners[:3], corners[3:6], self.atoms.box.periodic, corners[6:])
         self.step, self._seed = counters
-        self._ensemble, self.anchors = ensemble, anchors
+        self._ensemble, self.anchors, self.cuts = ensemble, anchors, cuts_of(state)
         self._rebuild(position, velocity, box)
 
     def close(self) -> None:
@@ -280,7 +296,7 @@ class LammpsDynamics:
 
     def _rebuild(self, position: NDArray[np.float64], velocity: NDArray[np.float64] | None, box: Box | None) -> None:
         """Make everything in LAMMPS anew; the one path of start, new anchors and restore."""
-        self._system.build(position, velocity, box)
+        self._system.build(position, velocity, box, self.cuts)
         self._window = 0
         self._needs_setup = True
         self._sample_step = -1
@@ -302,10 +318,12 @@ class LammpsDynamics:
         group = "all" if self._links is None else MOBILE
         seed, unit, planar = self._lammps_seed(), self._system.units, self.dimension == 2
         lines = ensemble_commands(self._ensemble, group, seed, unit, self.atoms.box, planar)
-        damping_time = self._damping_time()
-        if damping_time:
+        for number, damping_time in enumerate(self._damping_times()):
             kelvin, damp = self._temperature, damping_time / unit.time
-            lines.append(f"fix {_DAMPER} {HANDSHAKE} langevin {kelvin!r} {kelvin!r} {damp!r} {seed + 1} tally yes")
+            lines.append(
+                f"fix {_DAMPER}_{number} {damper_group(number)} langevin {kelvin!r} {kelvin!r} {damp!r}"
+                f" {seed + 1 + number} tally yes"
+            )
         if planar:
             lines.append("fix plane all setforce NULL NULL 0.0")  # after all other forces
         self._command(lines)
@@ -315,17 +333,12 @@ class LammpsDynamics:
     def _motion_removal_commands(self) -> list[str]:
         planar = self.dimension == 2
         lines = ["unfix plane"] if planar else []
-        if self._damping_time():
-            lines.append(f"unfix {_DAMPER}")
+        lines += [f"unfix {_DAMPER}_{number}" for number in range(len(self._damping_times()))]
         return [*lines, *ensemble_removal_commands(self._ensemble, planar)]
 
-    def _damping_time(self) -> float:
-        """Of the anchors' dampers, s; 0 without them."""
-        anchors = self.anchors
-        if anchors is None or not (anchors.damping > 0.0).any():
-            return 0.0
-        first = int(np.argmax(anchors.damping))
-        return float(self.atoms.atom_mass[anchors.atom_id[first]] / anchors.damping[first])
+    def _damping_times(self) -> list[float]:
+        """Of the anchors' dampers, s; none without them."""
+        return [] if self._links is None else self._links.damping_times.tolist()
 
     def _redraw(self) -> int:
         """Draw velocities anew where the Andersen thermostat is due; returns steps until it is due again."""
@@ -389,7 +402,7 @@ class LammpsDynamics:
 
     def _thermostat_work(self) -> float:
         """Work of dampers and thermostats on the atoms since the last rebuild, J."""
-        fixes = [_DAMPER] if self._damping_time() else []
+        fixes = [f"{_DAMPER}_{number}" for number in range(len(self._damping_times()))]
         if self._ensemble is not None and self._ensemble.thermostat in TALLIED:
             fixes.append(THERMOSTAT)
         # LAMMPS counts the energy that a thermostat takes out.

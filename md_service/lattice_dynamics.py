@@ -3,7 +3,8 @@
 The bonds are those of the sample's reference positions. A hexagonal lattice of springs k at distance a, of thickness
 t, is isotropic in its plane with E = 2 k / (sqrt(3) t), nu = 1/3 and one atom to the area sqrt(3)/2 a^2 (Hrennikoff's
 lattice). A planar sheet moves in its plane only, because springs at rest give it no stiffness across. An fcc crystal
-of such springs has C11 = sqrt(2) k / a and C12 = C44 = C11 / 2.
+of such springs has C11 = sqrt(2) k / a and C12 = C44 = C11 / 2. A chain, one row of atoms along x, is a bar with
+E = k a / A of the cross-section A = a^2 / sqrt(2), for one-dimensional theory; it moves along x only.
 """
 
 from __future__ import annotations
@@ -17,9 +18,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from md_service.atoms import Atoms
+from md_service.cuts import Cut, severed
 from md_service.dynamics import Dynamics
 from md_service.force_fields import ForceField
 from md_service.neighbour_pairs import VIRIAL_AXES, neighbour_pairs
+from md_service.sample_source import CHAIN
 from md_service.velocity_verlet import VelocityVerlet
 
 if TYPE_CHECKING:
@@ -27,6 +30,7 @@ if TYPE_CHECKING:
     from md_service.engines import Progress
 
 MATERIAL: Final = "hexagonal"
+MATERIALS: Final = (MATERIAL, CHAIN)
 _NEIGHBOUR_RANGE = 1.2  # bonds of an undeformed lattice are shorter than this many spacings
 _FLAT = 1e-3  # spacings; a sample no higher than this moves in its plane
 
@@ -57,7 +61,7 @@ class Springs:
     time_step: float = 1e-15
 
     def young(self, thickness: float) -> float:
-        """Young's modulus of a hexagonal sheet of a thickness in m, Pa."""
+        """Young's modulus of a hexagonal sheet of a thickness in m, and of a row of it, Pa."""
         return float(2.0 * self.stiffness / (np.sqrt(3.0) * thickness))
 
 
@@ -88,9 +92,12 @@ class LatticeForces:
     """
 
     def __init__(self, atoms: Atoms, springs: Springs) -> None:
-        self.dimension = 2 if np.ptp(atoms.position[:, 2]) <= _FLAT * springs.spacing else 3
+        flat = np.ptp(atoms.position, axis=0) <= _FLAT * springs.spacing
+        self.dimension = 3 if not flat[2] else 1 if flat[1] else 2
         self._springs = springs
-        self.first, self.second, self._shift = neighbour_pairs(atoms, _NEIGHBOUR_RANGE * springs.spacing)
+        self._atoms = atoms
+        self._whole = neighbour_pairs(atoms, _NEIGHBOUR_RANGE * springs.spacing)
+        self.first, self.second, self._shift = self._whole
         if len(self.first) == 0:
             raise ValueError(
                 f"position holds no atoms nearer than {_NEIGHBOUR_RANGE * springs.spacing:.3g} m, so there is no bond; "
@@ -105,6 +112,15 @@ class LatticeForces:
             )
         # A bound as a square root of the largest double, so that its square is still a number.
         self._reach = min(springs.spacing * (1.0 + springs.break_stretch), 1e150)
+
+    def sever(self, cuts: tuple[Cut, ...]) -> None:
+        """Take away the springs across these lines, and no others."""
+        pairs = np.column_stack(self._whole[:2])
+        held = np.ones(len(pairs), dtype=bool)
+        for cut in cuts:
+            held &= ~severed(cut, self._atoms, pairs)
+        first, second, shift = self._whole
+        self.first, self.second, self._shift = first[held], second[held], shift[held]
 
     def forces(self, position: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
         """Forces, N, shape (n, 3), and the energy, J."""
@@ -184,6 +200,7 @@ class LatticeFactory:
     backend = "lattice"
     summary = "harmonic lattice in numpy and numba, for teaching and fast tests"
     ensembles = ("langevin", "nose-hoover", "berendsen", "andersen")
+    severs = True
 
     def force_fields(self) -> list[str]:
         """Names of the springs."""
@@ -203,7 +220,7 @@ class LatticeFactory:
             elements=("Ar",),
             styles=(),
             time_step=springs.time_step,
-            lattice={MATERIAL: {0.0: springs.spacing}},
+            lattice={material: {0.0: springs.spacing} for material in MATERIALS},
             switching_start=limit,
             switching_end=limit,
         )
@@ -213,9 +230,9 @@ class LatticeFactory:
         return _springs(name).time_step
 
     def materials(self, name: str) -> list[str]:
-        """The hexagonal lattice."""
+        """The hexagonal lattice and the chain."""
         _springs(name)
-        return [MATERIAL]
+        return list(MATERIALS)
 
     def spacing(self, name: str, material: str) -> float:
         """Distance of neighbours without force, m."""
@@ -232,7 +249,7 @@ class LatticeFactory:
     def properties(
         self, folder: Path, force_field: str, material: str, temperature: float, seed: int, progress: Progress
     ) -> IsotropicProperties:
-        """Constants measured on a periodic sheet at 0 K.
+        """Constants measured on a periodic sheet at 0 K, or those of a chain in closed form.
 
         They hold at a temperature too: what the motion of a lattice of springs changes in them is of the order of
         kT / (k a^2), 0.014 % at 300 K.
@@ -241,6 +258,8 @@ class LatticeFactory:
 
         _check_material(material)
         springs = _springs(force_field)
+        if material == CHAIN:
+            return _chain_constants(springs, temperature)
         measured = static_constants(lambda atoms: LatticeForces(atoms, springs), crystal(material, springs.spacing))
         return replace(measured, temperature=temperature)
 
@@ -252,8 +271,24 @@ def _springs(name: str) -> Springs:
 
 
 def _check_material(material: str) -> None:
-    if material != MATERIAL:
-        raise ValueError(f"material is {material!r}; the harmonic lattice has {MATERIAL}")
+    if material not in MATERIALS:
+        raise ValueError(f"material is {material!r}; the harmonic lattice has {', '.join(MATERIALS)}")
+
+
+def _chain_constants(springs: Springs, temperature: float) -> IsotropicProperties:
+    from md_service.crystals import chain
+    from md_service.elastic_constants import IsotropicProperties
+
+    bar = chain(springs.spacing, 3.0 * springs.spacing)
+    assert bar.thickness is not None  # of every chain
+    return IsotropicProperties(
+        temperature=temperature,
+        lattice_constant=springs.spacing,
+        young=springs.young(bar.thickness),
+        poisson=0.0,
+        density=bar.density,
+        thickness=bar.thickness,
+    )
 
 
 LATTICE: Final = LatticeFactory()

@@ -173,6 +173,7 @@ class OpenmmFactory:
     backend = "openmm"
     summary = "molecular dynamics with the forces of OpenMM: Lennard-Jones and OPLS-AA"
     ensembles = ("langevin", "nose-hoover", "berendsen", "andersen")
+    severs = False
 
     def force_fields(self) -> list[str]:
         """The two that OpenMM serves here."""

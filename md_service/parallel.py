@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from md_service.atoms import Atoms, Box, CrackCut, Topology
+from md_service.cuts import Cut
 from md_service.engine import Engine
 from md_service.ensembles import Ensemble
 from md_service.errors import EngineError
@@ -30,6 +31,8 @@ FOLLOWED_METHODS: Final = (
     "equilibrate",
     "measure_reference",
     "advance",
+    "displace",
+    "sever",
     "broken_bonds",
     "collect_fields",
     "fields",
@@ -103,6 +106,16 @@ class ParallelEngine:
     def atoms(self) -> Atoms:
         """The sample."""
         return self._engine.atoms
+
+    @property
+    def crack(self) -> CrackCut | None:
+        """As `Engine.crack`."""
+        return self._engine.crack
+
+    @property
+    def cuts(self) -> tuple[Cut, ...]:
+        """As `Engine.cuts`."""
+        return self._engine.cuts
 
     @property
     def samples(self) -> int:

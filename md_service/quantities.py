@@ -20,6 +20,7 @@ DIMENSIONS: Final[dict[str, tuple[str, str]]] = {
     "time": ("s", "0.5 fs"),
     "pressure": ("Pa", "1 atm"),
     "rate": ("1/s", "0.1 1/ns"),
+    "density": ("kg/m^3", "1.2 g/cm^3"),
 }
 _NUMBER_AND_UNIT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 

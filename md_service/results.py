@@ -93,6 +93,8 @@ class Advance:
         work of springs that stand still is exact, all else is exact to the order of the time step.
     thermostat_work : float
         The part of it that is none of the springs'.
+    momentum : ndarray, shape (3,)
+        Of all atoms at the end, kg m/s.
     """
 
     step: int
@@ -109,3 +111,20 @@ class Advance:
     spring_energy: float
     anchor_work: float
     thermostat_work: float
+    momentum: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Severing:
+    """What a cut did.
+
+    Attributes
+    ----------
+    bonds : int
+        Bonds of the undeformed sample that its line crosses.
+    energy : float
+        Change of the potential energy, J.
+    """
+
+    bonds: int
+    energy: float

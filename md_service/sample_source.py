@@ -11,15 +11,18 @@ from typing import Final, Literal
 import numpy as np
 
 from md_service.atoms import Atoms, Box, CrackCut
-from md_service.crystals import fcc, hexagonal
+from md_service.crystals import chain, fcc, hexagonal
 from md_service.data_file import read_data_file
+from md_service.epoxy_opening import opened, repeats_in_plane
 from md_service.graphene import graphene
 
 #: Element of each crystal that repeats along z.
 _CUBIC: Final = {"copper": "Cu", "aluminium": "Al", "argon": "Ar"}
 #: Materials of one plane of atoms, or of layers of these.
 FLAT: Final = ("graphene", "hexagonal")
-MATERIALS: Final = (*FLAT, *_CUBIC)
+#: One row of atoms along x.
+CHAIN: Final = "chain"
+MATERIALS: Final = (*FLAT, *_CUBIC, CHAIN)
 _SHIPPED: Final = Path(__file__).with_name("data")
 _PACKED: Final = b"\x1f\x8b"  # how gzip begins
 _OURS: Final = b", scalebridge "  # in the first line of files that `write_data_file` wrote
@@ -42,7 +45,7 @@ def build_sample(
     material : str
         One of `MATERIALS`.
     width, height : float
-        Wanted size along x and y, m; the nearest number of whole cells is built.
+        Wanted size along x and y, m; the nearest number of whole cells is built. A chain has no height.
     spacing : float
         Nearest-neighbour distance, m.
     layers : int
@@ -71,6 +74,10 @@ def build_sample(
         return hexagonal(spacing, width, height, crack=crack)
     if crack is not None:
         raise ValueError(f"crack is given; only flat samples are cut, {material} is not")
+    if material == CHAIN:
+        if layers != 1:
+            raise ValueError(f"layers is {layers}; a chain is one row")
+        return chain(spacing, width)
     edge = 2.0**0.5 * spacing
     cells = (round(width / edge), round(height / edge), layers)
     if min(cells) < 1:
@@ -86,6 +93,9 @@ def shipped_samples() -> dict[str, Path]:
 def sample_from_bytes(data: bytes, periodic_z: bool | None = None, crack: CrackCut | None = None) -> Atoms:
     """Read a sample from the bytes of a LAMMPS data file; it becomes free along x and y.
 
+    A network whose bonds pass through the faces of its box along x or y is opened there, see
+    `md_service.epoxy_opening.opened`, and a crack is cut into it.
+
     Parameters
     ----------
     data : bytes
@@ -93,7 +103,7 @@ def sample_from_bytes(data: bytes, periodic_z: bool | None = None, crack: CrackC
     periodic_z : bool, optional
         Whether the box repeats along z. Without it as a file of ours says; another file then repeats nowhere.
     crack : CrackCut, optional
-        Slit that the file holds; that of the file's own notes without it.
+        Slit that the file holds, or that an opened network gets; that of the file's own notes without it.
 
     Raises
     ------
@@ -113,7 +123,12 @@ def sample_from_bytes(data: bytes, periodic_z: bool | None = None, crack: CrackC
         raise ValueError("the file holds no atoms")
     if periodic_z is None:
         periodic_z = atoms.box.periodic[2] if _OURS in first_line else False
-    return replace(atoms, box=_free_box(atoms, periodic_z), crack=atoms.crack if crack is None else crack)
+    crack = atoms.crack if crack is None else crack
+    if repeats_in_plane(atoms):
+        if not periodic_z:
+            raise ValueError("bonds pass through faces of the box; such a sample repeats along z: leave periodic_z out")
+        return opened(atoms, crack)
+    return replace(atoms, box=_free_box(atoms, periodic_z), crack=crack)
 
 
 def _free_box(atoms: Atoms, periodic_z: bool) -> Box:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from md_service.anchors import Anchors, finite_array
+from md_service.cuts import Cut
 from md_service.dynamics import State
 from md_service.ensembles import THERMOSTATS, Ensemble, Thermostat
 
@@ -20,6 +21,7 @@ def packed_state(
     counters: tuple[int, ...],
     ensemble: Ensemble | None,
     anchors: Anchors | None,
+    cuts: tuple[Cut, ...] = (),
 ) -> State:
     """Arrays of their own from what an engine holds.
 
@@ -31,12 +33,14 @@ def packed_state(
         Step first, then whatever the engine counts.
     ensemble : Ensemble or None
     anchors : Anchors or None
+    cuts : tuple of Cut
     """
     state = {
         "position": np.array(position),
         "velocity": np.array(velocity),
         "counters": np.array(counters, dtype=np.float64),
         "ensemble": np.zeros(0),
+        "cuts": np.array([[cut.from_x, cut.to_x, cut.y] for cut in cuts]).reshape(-1, 3),
     }
     if ensemble is not None:
         kind, held = THERMOSTATS.index(ensemble.thermostat), ensemble.pressure is not None
@@ -75,6 +79,20 @@ def unpacked_state(
         thermostat = cast(Thermostat, THERMOSTATS[int(kind)])
         ensemble = Ensemble(thermostat, temperature, damping_time, pressure if held else None, pressure_time)
     return position, velocity, [int(value) for value in counters], ensemble, _anchors_of(state, n_atoms)
+
+
+def cuts_of(state: State) -> tuple[Cut, ...]:
+    """The cuts in a state of `packed_state`.
+
+    Raises
+    ------
+    ValueError
+        If they are missing or no lines.
+    """
+    if "cuts" not in state:
+        raise ValueError("state lacks cuts; only what the method state answers can be restored")
+    lines = finite_array("state.cuts", state["cuts"], (len(np.atleast_1d(state["cuts"])), 3))
+    return tuple(Cut(*line) for line in lines.tolist())
 
 
 def _anchors_of(state: State, n_atoms: int) -> Anchors | None:

@@ -21,6 +21,7 @@ from md_service.field_means import FIELD_NAMES
 from md_service.force_fields import ForceField, custom_force_field
 from md_service.grid_fields import GRID_FIELDS, NEEDED, grid_fields
 from md_service.j_record import J_FIELDS, JRecord
+from md_service.kept_atoms import kept_atoms
 from md_service.parallel import ParallelEngine, follow
 from md_service.ranks import MpiRanks
 from md_service.sample_source import FLAT, build_sample, sample_from_bytes, shipped_samples
@@ -101,7 +102,8 @@ class AtomisticService(Service):
             "fields": list(FIELD_NAMES),
             "grid_fields": list(GRID_FIELDS),
             "samples": list(shipped_samples()),
-            "operations": ["collect_fields", "grid_fields", "j_integral"],
+            "operations": ["collect_fields", "grid_fields", "j_integral", "displace"]
+            + (["cut"] if self._factory.severs else []),
             "ensembles": list(self._factory.ensembles),
             # Words of LAMMPS are for LAMMPS only.
             "commands": isinstance(self._factory, LammpsFactory),
@@ -136,6 +138,8 @@ class AtomisticService(Service):
             raise ProtocolError("bad_field", f"seed {request.seed} is above {LARGEST_SEED}", field="seed")
         profile = self._profile(request)
         atoms = self._sample(request)
+        if request.keep:
+            atoms = self._call("configure", kept_atoms, atoms, request.keep)
         if profile is not None and profile.elements and not set(atoms.elements) <= set(profile.elements):
             missing = ", ".join(sorted(set(atoms.elements) - set(profile.elements)))
             sentence = f"force field {profile.name} knows {', '.join(profile.elements)}; the sample has {missing}"
@@ -227,6 +231,7 @@ class AtomisticService(Service):
         self._call(
             "register", engine.register_anchors, request.atom_id, request.anchor_position, request.stiffness,
             request.anchor_ivc, request.damping_time, request.anchor_kind, request.motion == "linear",
+            request.damping_share,
         )  # fmt: skip
         self._damped = request.damping_time is not None
         return messages.AtomisticRegistered(ivcs=int(request.anchor_ivc.max()) + 1 if len(request.anchor_ivc) else 0)
@@ -259,6 +264,7 @@ class AtomisticService(Service):
             reference_ivc_force=reference.ivc_force,
             reference_ivc_error=reference.ivc_standard_error,
             window_ivc_deviation=reference.window_standard_deviation,
+            reference_anchor_force=reference.anchor_force,
             temperature=reference.temperature,
             steps_done=None if how is None else how.steps,
             settled=None if how is None else how.settled,
@@ -309,13 +315,32 @@ class AtomisticService(Service):
             anchor_work=now.anchor_work,
             thermostat_work=now.thermostat_work,
             windows=now.windows,
+            momentum=tuple(now.momentum.tolist()),
             correlation_time=now.correlation_time if np.isfinite(now.correlation_time) else None,
             broken_bonds=bonds.broken,
-            crack_tip=bonds.tip_x if engine.atoms.crack is not None else None,
+            crack_tip=bonds.tip_x if engine.crack is not None else None,
             longest_bond=bonds.longest_length if np.isfinite(bonds.longest_length) else 0.0,
             longest_bond_atoms=(bonds.longest_atoms[0], bonds.longest_atoms[1]) if bonds.longest_atoms else None,
             warnings=[bonds.warning] if bonds.warning else [],
         )
+
+    def displace(self, request: messages.DisplaceRequest) -> messages.Displaced:
+        """Move all atoms and anchors at once."""
+        engine = self._configured()
+        self._call("displace", engine.displace, request.displacement, request.anchor_position)
+        return messages.Displaced(step=engine.step)
+
+    def cut(self, request: messages.CutRequest) -> messages.Severed:
+        """Sever the atoms along a line."""
+        engine, profile = self._configured(), self._own_profile
+        trap = "" if profile is None else profile.severing_trap(engine.atoms)
+        if not self._factory.severs:
+            trap = f"the forces of the backend {self.backend} cannot be severed along a line"
+        if trap:
+            raise ProtocolError("unsupported", trap)
+        done = self._call("cut", engine.sever, request.from_x, request.to_x, request.y)
+        self._record().sever(engine.cuts)
+        return messages.Severed(step=engine.step, bonds=done.bonds, energy=done.energy)
 
     # What can be looked at ------------------------------------------------------------------------------------
 
@@ -378,7 +403,7 @@ class AtomisticService(Service):
         if given is not None:
             return given
         engine = self._configured()
-        crack = engine.atoms.crack
+        crack = engine.crack
         if crack is None:
             raise ProtocolError("bad_field", "tip is missing; this sample has no crack to follow", field="tip")
         return (float(self._call("j_integral", engine.broken_bonds).tip_x), crack.y)
@@ -408,6 +433,7 @@ class AtomisticService(Service):
             raise ProtocolError("bad_field", f"state lacks {error}", field="state") from None
         except ValueError as error:
             raise ProtocolError("bad_field", str(error), field="state") from None
+        record.sever(engine.cuts)
         self._collecting = self._advanced = bool(request.state[_COLLECTED][1])
         self._j = record
         return Restored(step=engine.step)

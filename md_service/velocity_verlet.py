@@ -12,20 +12,21 @@ All noise comes from a counter-based generator keyed by seed and step, so a stat
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from md_service.anchors import Anchors, finite_array
 from md_service.atoms import Atoms, Box
+from md_service.cuts import Cut
 from md_service.dynamics import State, Window
 from md_service.ensembles import Ensemble
 from md_service.errors import EngineError
 from md_service.fire import relax
 from md_service.integration_kernels import add_springs, friction, kick, kick_and_drift, tally
 from md_service.nose_hoover import CHAIN, chain_half_step
-from md_service.saved_state import packed_state, unpacked_state
+from md_service.saved_state import cuts_of, packed_state, unpacked_state
 from md_service.units import BOLTZMANN, LENGTH
 
 LARGEST_STEP = 0.2e-10  # m moved in one step: beyond it no time step resolves a bond
@@ -39,7 +40,8 @@ class Interactions(Protocol):
     Attributes
     ----------
     dimension : int
-        2 where all motion stays in the plane z = const, else 3: degrees of freedom of an atom.
+        2 where all motion stays in the plane z = const, 1 where it stays on a line along x, else 3: degrees of freedom
+        of an atom.
     """
 
     dimension: int
@@ -55,6 +57,14 @@ class Interactions(Protocol):
 
     def close(self) -> None:
         """Free what there is to free; calling it again does nothing."""
+
+
+@runtime_checkable
+class Severable(Protocol):
+    """Forces that can be severed along lines."""
+
+    def sever(self, cuts: tuple[Cut, ...]) -> None:
+        """Let no forces act across these lines, and across no others."""
 
 
 class VelocityVerlet:
@@ -93,6 +103,7 @@ class VelocityVerlet:
         self.time_step = float(time_step)
         self.step = 0
         self.anchors: Anchors | None = None
+        self.cuts: tuple[Cut, ...] = ()
         self.failure = ""
         self.dimension = interactions.dimension
         self._interactions = interactions
@@ -151,6 +162,25 @@ class VelocityVerlet:
             self._position[rows] = place
             self._pair_force = None
             self._work += self._interaction_energy() - before
+
+    def displace(self, displacement: NDArray[np.float64]) -> None:
+        """Move all atoms at once; see `Dynamics`."""
+        self._position += displacement
+        if self.anchors is not None:
+            self._position[self._rows[self._passive]] = self.anchors.position[self._passive]
+        self._pair_force = None
+        self.move_anchors()
+        self._work = 0.0
+
+    def sever(self, cuts: tuple[Cut, ...]) -> None:
+        """Sever the atoms across lines; see `Dynamics`."""
+        if isinstance(self._interactions, Severable):
+            self._interactions.sever(cuts)
+        elif cuts:
+            raise EngineError("the forces of this engine cannot be severed along a line")
+        self.cuts = cuts
+        self._pair_force = None
+        self._work = 0.0
 
     # Ensembles ------------------------------------------------------------------------------------------------
 
@@ -212,6 +242,7 @@ class VelocityVerlet:
             kinetic_inner=float(kinetic[self._free_rows].sum()) - handshake,
             potential_energy=self._interaction_energy(),
             thermostat_work=self._work,
+            momentum=self._mass @ self._velocity,
         )
 
     def minimise(self, iterations: int) -> None:
@@ -328,12 +359,12 @@ class VelocityVerlet:
         return float(0.5 * self._mass[self._free_rows] @ np.einsum("ij,ij->i", velocity, velocity))
 
     def _noise(self, stream: int, rows: int) -> NDArray[np.float64]:
-        """Normal deviates, shape (rows, 3), zero along z in a plane."""
+        """Normal deviates, shape (rows, 3), zero along z in a plane and along y and z on a line."""
         generator = np.random.Generator(np.random.Philox(key=[self._seed, 8 * self.step + stream]))
         if self.dimension == 3:
             return generator.standard_normal((rows, 3))
         noise = np.zeros((rows, 3))
-        noise[:, :2] = generator.standard_normal((rows, 2))
+        noise[:, : self.dimension] = generator.standard_normal((rows, self.dimension))
         return noise
 
     # Forces ---------------------------------------------------------------------------------------------------
@@ -392,7 +423,7 @@ class VelocityVerlet:
     def state(self) -> State:
         """What `restore` needs; see `Dynamics`. Anchors and an ensemble are in it."""
         counters = (self.step, self._seed, self._elapsed)
-        state = packed_state(self._position, self._velocity, counters, self._ensemble, self.anchors)
+        state = packed_state(self._position, self._velocity, counters, self._ensemble, self.anchors, self.cuts)
         state["chain"] = self._chain.copy()
         self.restore(state)
         return state
@@ -403,6 +434,7 @@ class VelocityVerlet:
         if "chain" not in state:
             raise ValueError("state lacks chain; only what the method state answers can be restored")
         chain = finite_array("state.chain", state["chain"], (CHAIN,))
+        self.sever(cuts_of(state))
         self._position[:], self._velocity[:], self._chain[:] = position, velocity, chain
         self._take_over(anchors)
         self.step, self._seed, self._elapsed = counters

@@ -20,8 +20,9 @@ from .hierarchy import HierarchicalGrid
 from .hierarchy_filling import fill_hierarchy
 from .loads import AbsorbingEdge, BodyForce, Traction
 from .material import Material, MaterialError
-from .material_points import Body, Overlap, fill_rectangle, fill_region
+from .material_points import Body, fill_rectangle, fill_region
 from .materials import IsotropicElastic, J2Plasticity, NeoHookean, OrthotropicElastic
+from .overlap import Overlap, OverlapError, cut_overlaps
 from .scheme import Scheme
 from .set_up import largest_time_step
 from .shape_functions import shape_functions
@@ -49,6 +50,7 @@ __all__ = [
     "NodeCondition",
     "OrthotropicElastic",
     "Overlap",
+    "OverlapError",
     "Ramp",
     "Relaxation",
     "Scheme",
@@ -58,6 +60,7 @@ __all__ = [
     "Table",
     "Tip",
     "Traction",
+    "cut_overlaps",
     "fill_hierarchy",
     "fill_rectangle",
     "fill_region",

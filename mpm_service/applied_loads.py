@@ -43,11 +43,11 @@ class AppliedLoads:
             lambda rows, force: mapping.scatter_point_forces(rows, force, momentum),
         )
 
-    def follow(self, momentum: FloatArray, motion: FloatArray, time_step: float) -> None:
-        """Book the work."""
+    def book(self, momentum: FloatArray, halfway: FloatArray, duration: float) -> None:
+        """Add the work of all loads on the nodes."""
         mapping = self._mapping
-        work = self._loads.work(motion, momentum, (mapping.active,), mapping.points.rows, mapping.alive)
-        self.work += float(work.sum())
+        power = self._loads.power(halfway, momentum, (mapping.active,), mapping.read_points)
+        self.work += duration * float(power.sum())
 
     def set_points(self, reference: FloatArray) -> None:
         """Take the reference places of all points (n, d) [m] after some were split."""

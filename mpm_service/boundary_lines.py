@@ -27,7 +27,9 @@ which leaves velocities on the straight line as they are. The functions of linea
 the face is off a node only. There the sum halves errors of uGIMP but makes those of cpGIMP a hundredfold, so they all
 keep ``p_f/m_f``.
 
-A face is the set of grid lines across it, so the plane and space differ in the number of lines only.
+A face is the set of grid lines across it, so the plane and space differ in the number of lines only. Where its
+displacement is a field, each line has a place and a velocity of its own, one for each velocity field of its nodes;
+these are the *entries* of a condition, while a face that moves as a whole has one.
 """
 
 from __future__ import annotations
@@ -43,6 +45,8 @@ IntArray = NDArray[np.int64]
 
 # A straight line through the domain of a point reaches at most this many nodes beyond the face.
 _OUTWARD_NODES = 3
+#: Velocity fields that a node may have.
+FIELDS = 3
 
 
 class Faces(NamedTuple):
@@ -53,6 +57,10 @@ class Faces(NamedTuple):
     component: IntArray
     normal: IntArray
     """Condition that gives the face's normal displacement, or -1."""
+    first: IntArray
+    """First entry of each condition."""
+    lined: IntArray
+    """1 where each line has entries of its own, else 0."""
     reference: FloatArray
     """Face coordinate in the reference state [m]."""
     nodes: IntArray
@@ -68,7 +76,7 @@ class Faces(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Where the faces are in the current step, and how fast."""
+    """Where the faces are in the current step, and how fast, by entry."""
 
     nearest: IntArray
     beyond: FloatArray
@@ -92,6 +100,10 @@ class Lines(NamedTuple):
     """(lines, 3) rows of the constrained nodes."""
     ratio: FloatArray
     """(lines, 3) r_k of each."""
+    before: FloatArray
+    """Velocity of the face over the step before [m/s]."""
+    after: FloatArray
+    """Velocity of the face over the step to make [m/s]."""
     force: FloatArray
     """Force on the free node with what its lines carry to it [N], at leaders."""
     inertia: FloatArray
@@ -106,26 +118,37 @@ def no_lines(capacity: int) -> Lines:
     condition, free, length, leader = (np.zeros(capacity, dtype=np.int64) for _ in range(4))
     node = np.zeros((capacity, _OUTWARD_NODES), dtype=np.int64)
     ratio = np.zeros((capacity, _OUTWARD_NODES))
-    return Lines(condition, free, length, leader, node, ratio, *(np.zeros(capacity) for _ in range(4)))
+    return Lines(condition, free, length, leader, node, ratio, *(np.zeros(capacity) for _ in range(6)))
 
 
 @njit(cache=True, nogil=True)
 def locate_faces(
     faces: Faces, place: Place, window: FloatArray, origin: FloatArray, inverse_cell: float, time_step: float
 ) -> None:
-    """Node nearest to each moved face, how far the face lies outside of it [cells], and the velocities."""
+    """Node nearest to each moved face, how far the face lies outside of it [cells], and the velocities.
+
+    ``window`` (3, entries) holds the displacements [m] a step ago, now, and after the step.
+    """
     for k in range(faces.axis.size):
-        place.before[k] = (window[1, k] - window[0, k]) / time_step
-        place.after[k] = (window[2, k] - window[1, k]) / time_step
-        axis = faces.axis[k]
-        if axis < 0:
-            continue
-        at = faces.reference[k]
-        if faces.normal[k] >= 0:
-            at += window[1, faces.normal[k]]
-        xi = (at - origin[axis]) * inverse_cell
-        place.nearest[k] = int(np.floor(xi + 0.5))
-        place.beyond[k] = faces.sign[k] * (xi - place.nearest[k])
+        last = faces.first[k + 1] if k + 1 < faces.axis.size else window.shape[1]
+        for e in range(faces.first[k], last):
+            place.before[e] = (window[1, e] - window[0, e]) / time_step
+            place.after[e] = (window[2, e] - window[1, e]) / time_step
+            axis = faces.axis[k]
+            if axis < 0:
+                continue
+            at = faces.reference[k]
+            if faces.normal[k] >= 0:
+                at += window[1, faces.first[faces.normal[k]] + e - faces.first[k]]
+            xi = (at - origin[axis]) * inverse_cell
+            place.nearest[e] = int(np.floor(xi + 0.5))
+            place.beyond[e] = faces.sign[k] * (xi - place.nearest[e])
+
+
+@njit(inline="always")
+def _entry(first: IntArray, lined: IntArray, k: int, along: int, which: int) -> int:
+    """Entry of condition k for the line through node number `along` of its face and a velocity field."""
+    return first[k] + lined[k] * (FIELDS * along + which)
 
 
 @njit(inline="always")
@@ -140,8 +163,7 @@ def _field_row(near: IntArray, base: int, capacity: int, which: int, row: int) -
 @njit(cache=True, nogil=True)
 def draw_lines(
     faces: Faces,
-    nearest: IntArray,
-    beyond: FloatArray,
+    place: Place,
     near: IntArray,
     base: int,
     capacity: int,
@@ -150,8 +172,9 @@ def draw_lines(
     lines: Lines,
 ) -> int:
     """Fill the table of lines with nodes that carry material; returns their number."""
-    axis, sign, component = faces.axis, faces.sign, faces.component
+    axis, sign, component, first, lined = faces.axis, faces.sign, faces.component, faces.first, faces.lined
     nodes, stride, held = faces.nodes, faces.stride, faces.held
+    nearest, beyond = place.nearest, place.beyond
     condition, frees, counts, node, ratio = lines.condition, lines.free, lines.length, lines.node, lines.ratio
     corner_lines = np.empty(frees.size, dtype=np.int64)
     corners = 0
@@ -164,30 +187,37 @@ def draw_lines(
             continue
         step = sign[k]
         comp = component[k]
-        first, second = (across + 1) % 3, (across + 2) % 3
-        inner = nearest[k] - step
-        for j in range(nodes[second]):
-            index[second] = j
-            for i in range(nodes[first]):
-                index[first] = i
-                # Where faces of other directions hold the component too, the last condition has the node.
-                taken = False
-                shared = False
-                corner = False
-                for q in range(axis.size):
-                    other = axis[q]
-                    if other == across and sign[q] != step and component[q] == comp:
-                        # The opposite face of a body two cells wide has the same free node.
-                        corner = corner or nearest[q] - sign[q] == inner
-                    if other >= 0 and other != across and component[q] == comp:
-                        outside = sign[q] * (index[other] - nearest[q])
+        low, high = (across + 1) % 3, (across + 2) % 3
+        for j in range(nodes[high]):
+            index[high] = j
+            for i in range(nodes[low]):
+                index[low] = i
+                along = index[1 - across] if across < 2 else 0
+                for which in range(1 + extra):
+                    e = _entry(first, lined, k, along, which)
+                    inner = nearest[e] - step
+                    # Where faces of other directions hold the component too, the last condition has the node.
+                    taken = False
+                    shared = False
+                    corner = False
+                    for q in range(axis.size):
+                        other = axis[q]
+                        if component[q] != comp or other < 0:
+                            continue
+                        if other == across:
+                            if sign[q] != step:
+                                # The opposite face of a body two cells wide has the same free node.
+                                opposite = nearest[_entry(first, lined, q, along, which)]
+                                corner = corner or opposite - sign[q] == inner
+                            continue
+                        there = min(max(nearest[e], 0), nodes[across] - 1) if across < 2 else 0
+                        outside = sign[q] * (index[other] - nearest[_entry(first, lined, q, there, which)])
                         shared = shared or outside >= 0
                         taken = taken or (outside >= 0 and q > k)
                         corner = corner or outside == -1
-                if taken:
-                    continue
-                start = i * stride[first] + j * stride[second]
-                for which in range(1 + extra):
+                    if taken:
+                        continue
+                    start = i * stride[low] + j * stride[high]
                     free = -1
                     if not shared and 0 <= inner < nodes[across]:
                         row = start + inner * stride[across]
@@ -197,7 +227,7 @@ def draw_lines(
                                 free = -1
                     count = 0
                     for outward in range(_OUTWARD_NODES):
-                        at = nearest[k] + outward * step
+                        at = nearest[e] + outward * step
                         if at < 0 or at >= nodes[across]:
                             continue
                         row = start + at * stride[across]
@@ -206,12 +236,14 @@ def draw_lines(
                         n = _field_row(near, base, capacity, which, row)
                         if n >= 0 and momentum[n, 0] > 0.0:
                             node[made, count] = n
-                            ratio[made, count] = (beyond[k] - outward) / (beyond[k] + 1.0) if free >= 0 else 0.0
+                            ratio[made, count] = (beyond[e] - outward) / (beyond[e] + 1.0) if free >= 0 else 0.0
                             count += 1
                     if count > 0:
                         condition[made] = k
                         frees[made] = free
                         counts[made] = count
+                        lines.before[made] = place.before[e]
+                        lines.after[made] = place.after[e]
                         lines.leader[made] = made
                         if corner and free >= 0:
                             for earlier in corner_lines[:corners]:
@@ -230,6 +262,8 @@ def draw_lines(
                 condition[made] = faces.owner[i]
                 frees[made] = -1
                 counts[made] = 1
+                lines.before[made] = place.before[first[faces.owner[i]]]
+                lines.after[made] = place.after[first[faces.owner[i]]]
                 lines.leader[made] = made
                 made += 1
     return made
@@ -240,8 +274,6 @@ def accelerate_lines(
     lines: Lines,
     made: int,
     component: IntArray,
-    before: FloatArray,
-    after: FloatArray,
     momentum: FloatArray,
     motion: FloatArray,
     time_step: float,
@@ -251,7 +283,9 @@ def accelerate_lines(
 ) -> tuple[float, float]:
     """Momentum equation of the constrained and the free nodes, with reactions; returns work and loss kept."""
     dimension = motion.shape[1] // 2
+    before, after = lines.before, lines.after
     reaction[:] = 0.0
+    work = 0.0
     not_lost = 0.0
     for i in range(made):
         k = lines.condition[i]
@@ -270,15 +304,15 @@ def accelerate_lines(
             mass = momentum[lines.node[i, c], 0]
             lines.force[leader] += r * momentum[lines.node[i, c], pull]
             lines.inertia[leader] += r * r * mass
-            lines.carried[leader] += r * (1.0 - r) * mass * (after[k] - before[k])
-            lines.brought[leader] += r * (momentum[lines.node[i, c], 1 + component[k]] - (1.0 - r) * mass * before[k])
+            lines.carried[leader] += r * (1.0 - r) * mass * (after[i] - before[i])
+            lines.brought[leader] += r * (momentum[lines.node[i, c], 1 + component[k]] - (1.0 - r) * mass * before[i])
     for i in range(made):
         k = lines.condition[i]
         free = lines.free[i]
         comp = component[k]
         pull = 1 + dimension + comp
-        old_free = before[k]
-        new_free = after[k]
+        old_free = before[i]
+        new_free = after[i]
         if free >= 0:
             leader = lines.leader[i]
             if splines:
@@ -292,16 +326,15 @@ def accelerate_lines(
         for c in range(lines.length[i]):
             r = lines.ratio[i, c]
             n = lines.node[i, c]
-            old = before[k] + r * (old_free - before[k])
-            new = after[k] + r * (new_free - after[k])
+            old = before[i] + r * (old_free - before[i])
+            new = after[i] + r * (new_free - after[i])
             motion[n, comp] = new
             motion[n, dimension + comp] = new - old
-            reaction[k] += (1.0 - r) * (momentum[n, 0] * (new - old) - time_step * momentum[n, pull])
+            impulse = (1.0 - r) * (momentum[n, 0] * (new - old) - time_step * momentum[n, pull])
+            reaction[k] += impulse
+            work += 0.5 * impulse * (after[i] + before[i])
             not_lost += 0.5 * momentum[n, 0] * new * new * (1.0 / (keep * keep) - 1.0)
-    work = 0.0
-    for k in range(reaction.size):
-        work += 0.5 * reaction[k] * (after[k] + before[k])
-        reaction[k] /= time_step
+    reaction /= time_step
     return work, not_lost
 
 
@@ -325,7 +358,7 @@ def _set_free(
             n = lines.node[i, c]
             mass = momentum[n, 0]
             lines.inertia[leader] += r * r * mass
-            lines.brought[leader] += r * mass * (velocity[n, comp] - (1.0 - r) * prescribed[k])
+            lines.brought[leader] += r * mass * (velocity[n, comp] - (1.0 - r) * prescribed[i])
     for i in range(made):
         if lines.free[i] >= 0 and lines.leader[i] == i:
             velocity[lines.free[i], component[lines.condition[i]]] = lines.brought[i] / lines.inertia[i]
@@ -347,6 +380,6 @@ def impose_lines(
     for i in range(made):
         k = lines.condition[i]
         comp = component[k]
-        inner = velocity[lines.free[i], comp] if lines.free[i] >= 0 else prescribed[k]
+        inner = velocity[lines.free[i], comp] if lines.free[i] >= 0 else prescribed[i]
         for c in range(lines.length[i]):
-            velocity[lines.node[i, c], comp] = prescribed[k] + lines.ratio[i, c] * (inner - prescribed[k])
+            velocity[lines.node[i, c], comp] = prescribed[i] + lines.ratio[i, c] * (inner - prescribed[i])

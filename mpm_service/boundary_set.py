@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .boundary_lines import Faces, Place, accelerate_lines, draw_lines, impose_lines, locate_faces, no_lines
-from .conditions import FACES, EdgeCondition, NodeCondition
-from .time_functions import Schedule
+from .boundary_lines import FIELDS, Faces, Place, accelerate_lines, draw_lines, impose_lines, locate_faces, no_lines
+from .conditions import FACES, Approach, EdgeCondition, FieldCondition, NodeCondition
+from .time_functions import Schedule, TimeFunction
 from .velocity_fields import FieldMap, single_field
 
 FloatArray = NDArray[np.float64]
@@ -21,6 +21,22 @@ _REACH_CELLS = 3.0
 # A node this close to a box counts as inside [cells]: covers round-off of decimal input.
 _BOX_TOLERANCE = 1e-6
 _NO_FIELDS = single_field(0)
+# Rounds in which the material at a node of a face that moves along itself is found.
+_ROUNDS = 20
+
+Condition = EdgeCondition | FieldCondition | NodeCondition
+
+
+class Constraints(NamedTuple):
+    """Components of nodes that follow: ``v_node = v + ratio (v_free - v)``, v being the face's."""
+
+    node: IntArray
+    component: IntArray
+    free: IntArray
+    """Row of the free node, or -1."""
+    ratio: FloatArray
+    motion: FloatArray
+    """Of the face in the step [m/s], or, for a step of 1 s, [m]."""
 
 
 class LatticeGrid(Protocol):
@@ -46,7 +62,7 @@ class BoundarySet:
 
     Parameters
     ----------
-    conditions : sequence of EdgeCondition or NodeCondition
+    conditions : sequence of EdgeCondition, FieldCondition or NodeCondition
     grid : LatticeGrid
         The grid; conditions act on its level 0.
     lower, upper : (d,) array_like
@@ -60,6 +76,8 @@ class BoundarySet:
         Rectangles of the grid that have finer cells [m]: no face may come near them.
     splines : bool
         The grid's functions are B-splines: free nodes next to faces take their velocities by the transposed rule.
+    approach : Approach, optional
+        Faces go to their displacement at time 0 and stay there.
 
     Attributes
     ----------
@@ -75,7 +93,7 @@ class BoundarySet:
 
     def __init__(
         self,
-        conditions: Sequence[EdgeCondition | NodeCondition],
+        conditions: Sequence[Condition],
         grid: LatticeGrid,
         lower: ArrayLike,
         upper: ArrayLike,
@@ -83,6 +101,7 @@ class BoundarySet:
         started_moving: bool = False,
         refined: Sequence[tuple[Sequence[float], Sequence[float]]] = (),
         splines: bool = False,
+        approach: Approach | None = None,
     ) -> None:
         self.conditions = tuple(conditions)
         self.reaction = np.zeros(len(self.conditions))
@@ -93,11 +112,15 @@ class BoundarySet:
         self._cell = float(grid.cell_size)
         self._origin = np.array(grid.origin, dtype=np.float64)
         names = [f"edge_conditions[{k}]" for k in range(len(self.conditions))]
-        self._schedule = Schedule([c.displacement for c in self.conditions], names, time_step)
+        self._schedule = Schedule([_over_time(c) for c in self.conditions], names, time_step)
+        self._approach = approach
         self._checked: int | None = None
-        self._faces = self._kernel_form(grid, np.asarray(lower, np.float64), np.asarray(upper, np.float64))
-        floats = [np.zeros(len(self.conditions)) for _ in range(3)]
-        self._place = Place(np.zeros(len(self.conditions), dtype=np.int64), *floats)
+        corners = np.asarray(lower, np.float64), np.asarray(upper, np.float64)
+        self._faces = self._kernel_form(grid, *corners)
+        self._widest = [self._widest_move(condition, *corners) for condition in self.conditions]
+        count = self._count_entries()
+        self._place = Place(np.zeros(count, dtype=np.int64), *(np.zeros(count) for _ in range(3)))
+        self._tabulated: tuple[bytes, FloatArray] | None = None
         self._fields: FieldMap = _NO_FIELDS
         self._lines = no_lines(0)
         self._made = -1
@@ -126,12 +149,102 @@ class BoundarySet:
         if self._refined and self._checked != self._schedule.first:
             self._check_refined(self._schedule.values)
             self._checked = self._schedule.first
+        shares = np.ones(3)
+        if self._approach is not None:
+            window = np.broadcast_to(self._schedule.now(0), window.shape)
+            shares = np.clip(np.array([step - 1, step, step + 1]) / self._approach.steps, 0.0, 1.0)
         if step == 0:
-            window = window.copy()
+            window, shares = window.copy(), shares.copy()
             window[0] = window[1] - (window[2] - window[1] if self._started_moving else 0.0)
+            shares[0] = shares[1]
+        self._put(self._entries(window, shares), self._time_step, fields)
+
+    def approach_between(self, before: float, after: float, fields: FieldMap = _NO_FIELDS) -> None:
+        """Find the faces when they have gone a share of their approach, and their way to another share, in 1 s."""
+        if self.conditions:
+            window = np.broadcast_to(self._schedule.now(0), (3, len(self.conditions)))
+            self._put(self._entries(window, np.array([before, before, after])), 1.0, fields)
+
+    def _put(self, displacement: FloatArray, time_step: float, fields: FieldMap) -> None:
         self._fields = fields
         self._made = -1
-        locate_faces(self._faces, self._place, window, self._origin, 1.0 / self._cell, self._time_step)
+        locate_faces(self._faces, self._place, displacement, self._origin, 1.0 / self._cell, time_step)
+
+    def _entries(self, window: FloatArray, shares: FloatArray) -> FloatArray:
+        """Displacement of each entry [m], (3, entries), from the values of the time functions and of the approach."""
+        faces = self._faces
+        if not np.any(faces.lined):
+            return np.ascontiguousarray(shares[:, None] * window)
+        key = window.tobytes() + shares.tobytes()
+        if self._tabulated is not None and self._tabulated[0] == key:
+            return self._tabulated[1]
+        found = np.empty((3, self._place.nearest.size))
+        for k in np.flatnonzero(faces.lined == 0):
+            found[:, faces.first[k]] = shares * window[:, k]
+        for edge in FACES[:4]:
+            mine = {
+                c.component: k
+                for k, c in enumerate(self.conditions)
+                if not isinstance(c, NodeCondition) and c.edge == edge and faces.lined[k]
+            }
+            if mine:
+                self._fill_lines(mine, window, shares, found)
+        self._tabulated = (key, found)
+        return found
+
+    def _fill_lines(self, mine: dict[int, int], window: FloatArray, shares: FloatArray, found: FloatArray) -> None:
+        """Displacements of the lines of one face, given its conditions by component."""
+        some = next(iter(mine.values()))
+        axis = int(self._faces.axis[some])
+        count = int(self._faces.nodes[1 - axis])
+        start = self._approach.start if self._approach is not None else None
+        place = np.empty((count * FIELDS, 2))
+        place[:, axis] = self._faces.reference[some]
+        node = np.repeat(self._origin[1 - axis] + self._cell * np.arange(count), FIELDS)
+        place[:, 1 - axis] = node
+        other_side = np.tile(np.array([1, -1, -1])[:FIELDS], count)
+
+        def moved(component: int, times: slice) -> FloatArray:
+            """(times, entries) at the present `place`."""
+            part = np.zeros((window[times].shape[0], place.shape[0]))
+            if start is not None:
+                sides = start.side(at_node) * other_side
+                part += (1.0 - shares[times, None]) * start.displacement(place, sides)[:, component]
+            if component not in mine:
+                return part
+            condition = self.conditions[mine[component]]
+            factor = (shares * window[:, mine[component]])[times, None]
+            if not isinstance(condition, FieldCondition):
+                return part + factor
+            sides = condition.field.side(at_node) * other_side
+            return part + factor * condition.field.displacement(place, sides)[:, component]
+
+        at_node = place.copy()
+        for _ in range(_ROUNDS):
+            way = node - moved(1 - axis, slice(1, 2))[0] - place[:, 1 - axis]
+            place[:, 1 - axis] += way
+            if np.abs(way).max() < 1e-12 * self._cell:
+                break
+        for component, k in mine.items():
+            first = int(self._faces.first[k])
+            found[:, first : first + place.shape[0]] = moved(component, slice(0, 3))
+
+    def constraints(self, momentum: FloatArray) -> Constraints:
+        """Constrained nodes that carry material, one row for each."""
+        if not self.conditions:
+            none = np.zeros(0, dtype=np.int64)
+            return Constraints(none, none, none, np.zeros(0), np.zeros(0))
+        self._draw(momentum)
+        lines, made = self._lines, self._made
+        length = lines.length[:made]
+        valid = np.arange(lines.node.shape[1]) < length[:, None]
+        return Constraints(
+            lines.node[:made][valid],
+            np.repeat(self._faces.component[lines.condition[:made]], length),
+            np.repeat(lines.free[:made], length),
+            lines.ratio[:made][valid],
+            np.repeat(lines.after[:made], length),
+        )
 
     def accelerate(
         self, momentum: FloatArray, motion: FloatArray, keep: float = 1.0, force_factor: float = 1.0
@@ -164,8 +277,6 @@ class BoundarySet:
             self._lines,
             self._made,
             self._faces.component,
-            self._place.before,
-            self._place.after,
             momentum,
             motion,
             self._time_step,
@@ -194,7 +305,7 @@ class BoundarySet:
             return
         if self._made < 0:
             self._draw(momentum)
-        prescribed = self._place.before if before else self._place.after
+        prescribed = self._lines.before if before else self._lines.after
         impose_lines(self._lines, self._made, self._faces.component, prescribed, momentum, velocity, self._splines)
 
     def _draw(self, momentum: FloatArray) -> None:
@@ -202,9 +313,7 @@ class BoundarySet:
         size = (1 + extra) * self._most_lines
         if self._lines.free.size < size:
             self._lines = no_lines(size)
-        self._made = draw_lines(
-            self._faces, self._place.nearest, self._place.beyond, near, base, capacity, extra, momentum, self._lines
-        )
+        self._made = draw_lines(self._faces, self._place, near, base, capacity, extra, momentum, self._lines)
 
     def _kernel_form(self, grid: LatticeGrid, lower: FloatArray, upper: FloatArray) -> Faces:
         dimension = len(grid.cells)
@@ -213,7 +322,7 @@ class BoundarySet:
         sign = np.zeros(len(self.conditions), dtype=np.int64)
         reference = np.zeros(len(self.conditions))
         for k, condition in enumerate(self.conditions):
-            if isinstance(condition, EdgeCondition) and condition.axis >= dimension:
+            if not isinstance(condition, NodeCondition) and condition.axis >= dimension:
                 raise ValueError(
                     f"edge_conditions[{k}].edge = {condition.edge!r}: allowed in the plane are {', '.join(FACES[:4])}"
                 )
@@ -233,7 +342,8 @@ class BoundarySet:
             seen[key] = k
             axis[k], sign[k] = condition.axis, condition.sign
             reference[k] = (upper if condition.sign > 0 else lower)[condition.axis]
-        normal = [seen.get((c.edge, c.axis), -1) if isinstance(c, EdgeCondition) else -1 for c in self.conditions]
+        normal = [-1 if isinstance(c, NodeCondition) else seen.get((c.edge, c.axis), -1) for c in self.conditions]
+        lined = [self._is_lined(k, c, seen) for k, c in enumerate(self.conditions)]
         count = np.ones(3, dtype=np.int64)
         count[:dimension] = np.asarray(grid.cells, dtype=np.int64) + 1
         stride = np.array([1, count[0], count[0] * count[1]], dtype=np.int64)
@@ -243,9 +353,47 @@ class BoundarySet:
         across = [int(count.prod() // count[a]) for a in axis if a >= 0]
         self._most_lines = sum(across) + row.size
         component = np.array([c.component for c in self.conditions], dtype=np.int64)
+        entries = [FIELDS * int(count[1 - a]) if own else 1 for a, own in zip(axis, lined, strict=True)]
         return Faces(
-            axis, sign, component, np.array(normal, dtype=np.int64), reference, count, stride, held, row, owner
+            axis,
+            sign,
+            component,
+            np.array(normal, dtype=np.int64),
+            np.concatenate([np.zeros(1, dtype=np.int64), np.cumsum(entries, dtype=np.int64)])[: len(entries)],
+            np.array(lined, dtype=np.int64),
+            reference,
+            count,
+            stride,
+            held,
+            row,
+            owner,
         )
+
+    def _is_lined(self, k: int, condition: Condition, seen: dict[tuple[str, int], int]) -> bool:
+        """Does each line of the face move on its own?"""
+        if isinstance(condition, NodeCondition):
+            return False
+        by_field = isinstance(condition, FieldCondition)
+        other = seen.get((condition.edge, 1 - condition.component), -1) if condition.component < 2 else -1
+        if (other >= 0 and isinstance(self.conditions[other], FieldCondition) != by_field) or (by_field and other < 0):
+            raise ValueError(
+                f"edge_conditions[{k}]: edge {condition.edge!r} has one component prescribed by a field; fields give "
+                "both or none"
+            )
+        return by_field or (self._approach is not None and self._approach.start is not None)
+
+    def _count_entries(self) -> int:
+        faces = self._faces
+        if not self.conditions:
+            return 0
+        last = FIELDS * int(faces.nodes[1 - faces.axis[-1]]) if faces.lined[-1] else 1
+        return int(faces.first[-1]) + last
+
+    def _widest_move(self, condition: Condition, lower: FloatArray, upper: FloatArray) -> float:
+        """Largest displacement that a field gives a face [m]; 1 where it moves as a whole."""
+        if not isinstance(condition, FieldCondition):
+            return 1.0
+        return float(np.abs(condition.along_face(lower, upper)).max())
 
     def _find_nodes(self, count: IntArray, stride: IntArray, held: NDArray[np.uint8]) -> tuple[IntArray, IntArray]:
         """Rows of the nodes in boxes and the condition of each; marks them in ``held``."""
@@ -297,10 +445,12 @@ class BoundarySet:
         """Refuse a face that comes near a refined rectangle while it moves by ``displacement`` (n, conditions)."""
         reach = _REACH_CELLS * self._cell
         for k, condition in enumerate(self.conditions):
-            if not isinstance(condition, EdgeCondition):
+            if isinstance(condition, NodeCondition):
                 continue
             normal = int(self._faces.normal[k])
             way = displacement[:, normal] if normal >= 0 else np.zeros(1)
+            if isinstance(condition, FieldCondition):
+                way = self._widest[normal] * np.concatenate([way, -way])
             low = float(self._faces.reference[k] + way.min()) - reach
             high = float(self._faces.reference[k] + way.max()) + reach
             for lower, upper in self._refined:
@@ -310,3 +460,8 @@ class BoundarySet:
                         f"rectangle from {lower.tolist()} to {upper.tolist()} m; refinement must stay clear of "
                         "faces with prescribed motion"
                     )
+
+
+def _over_time(condition: Condition) -> TimeFunction:
+    """Displacement [m] of a condition over time, or the factor on its field."""
+    return condition.factor if isinstance(condition, FieldCondition) else condition.displacement

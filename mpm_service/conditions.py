@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Literal, Protocol, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from .time_functions import Constant, IntegrableTimeFunction, TimeFunction, as_time_function
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 Face = Literal["left", "right", "bottom", "top", "back", "front"]
 FACES: tuple[str, ...] = get_args(Face)
@@ -105,6 +106,85 @@ class EdgeCondition:
     def displacement(self, time: FloatArray) -> FloatArray:
         """Displacement [m] at the given times [s]."""
         return self._function(time)
+
+
+class DisplacementField(Protocol):
+    """Displacement of all places, with two values on a crack's line; `k_field.CrackTipField` is one."""
+
+    def side(self, position: FloatArray, /) -> IntArray:
+        """+1 or -1, the side of the crack's line that reference places (n, 2) lie on, (n,)."""
+
+    def displacement(self, position: FloatArray, side: IntArray | None = None, /) -> FloatArray:
+        """Displacement [m] of material of a side at reference places (n, 2) [m], (n, 2)."""
+
+
+@dataclass(frozen=True, eq=False)
+class FieldCondition:
+    """Motion of one component on one face of a plane body, by a field times a factor over time.
+
+    Both components of a face are prescribed by fields, or none: the place of the face, which varies along it, follows
+    from both. Where a crack cuts the face each of its sides moves with the field of that side.
+
+    Parameters
+    ----------
+    edge : {"left", "right", "bottom", "top"}
+        Face of the body's bounding box.
+    component : {0, 1}
+        x or y of the motion.
+    field : DisplacementField
+        At a factor of 1.
+    factor : TimeFunction
+        Over time.
+
+    Raises
+    ------
+    ValueError
+        If a value is not allowed.
+    """
+
+    edge: Face
+    component: int
+    field: DisplacementField
+    factor: TimeFunction
+
+    def __post_init__(self) -> None:
+        if self.edge not in FACES[:4]:
+            raise ValueError(f"FieldCondition.edge = {self.edge!r}: allowed are {', '.join(FACES[:4])}")
+        if self.component not in (0, 1):
+            raise ValueError(f"FieldCondition.component = {self.component!r}: allowed are 0 (x) and 1 (y)")
+
+    @property
+    def axis(self) -> int:
+        """Direction of the face's normal."""
+        return face_axis(self.edge)
+
+    @property
+    def sign(self) -> int:
+        """+1 where the outward normal points along the axis, else -1."""
+        return face_sign(self.edge)
+
+    def along_face(self, lower: ArrayLike, upper: ArrayLike, count: int = 200) -> FloatArray:
+        """Displacement of the component at so many places along the face of a body, at a factor of 1 [m], (count,)."""
+        low, high = np.asarray(lower, np.float64), np.asarray(upper, np.float64)
+        place = low + (high - low) * ((np.arange(count) + 0.5) / count)[:, None]
+        place[:, self.axis] = (high if self.sign > 0 else low)[self.axis]
+        return np.asarray(self.field.displacement(place)[:, self.component])
+
+
+@dataclass(frozen=True, eq=False)
+class Approach:
+    """Faces go from where they start to their displacement at time 0, and stay there: for a body to be preloaded.
+
+    Parameters
+    ----------
+    steps : int
+        Steps to get there.
+    start : DisplacementField, optional
+        Displacement that the body has at the start; none if not given.
+    """
+
+    steps: int
+    start: DisplacementField | None = None
 
 
 def symmetry(edge: Face) -> EdgeCondition:

@@ -6,6 +6,15 @@ of its crack grows by one increment, straight on or in the direction of the larg
 A crack that comes out of the atoms (Fig 4.3) is stated with its first short segment and the hoop stress that was
 seen when the crack before them last grew: it sleeps until the stress at its own tip has reached that value, and
 then grows as any other.
+
+Next to an overlap with atoms a tip is the continuum's as long as it is outside::
+
+      hole |   ring   |            inside: neither measured nor grown, whoever couples the two moves it
+           |          |            on the border: measured, but it does not grow
+     ------+--x-------x----x--     outside: measured and grown, by no piece that would enter
+
+J is that of the ring around the tip that fits between it and the hole, where a point of the overlap stands for all
+the material there. Where not even the smallest ring fits, the last J counts.
 """
 
 from __future__ import annotations
@@ -35,13 +44,15 @@ from .fracture import (
     stress_ahead,
     vcct,
 )
+from .overlap_border import distance_outside, way_before
 
 FloatArray = NDArray[np.float64]
 
 Direction = Literal["hoop", "straight"]
 
-#: Rings tried in turn as a tip comes near the body's surface or another tip [cells].
-RINGS = (RING, (1.0, 4.0), (1.0, 3.0))
+#: Rings tried in turn as a tip comes near the body's surface, an overlap's hole or another tip [cells]. J of an edge
+#: crack of ten cells by these, tip anywhere in its cell: -2.5 to +0.1, -2.7 to -0.2, -2.4 to +0.9, -2.5 to +1.3 %.
+RINGS = (RING, (1.0, 4.0), (1.0, 3.0), (0.5, 2.0))
 #: Share of a cell by which a tip grows unless stated.
 INCREMENT = 0.5
 # Steps over which accelerations and velocity gradients are taken.
@@ -50,6 +61,8 @@ _WINDOW = 4
 _BEHIND = 1.5
 # Distance ahead of the tip, and half width, of the hoop stress [cells].
 _AHEAD = 1.0
+# Nearer to an overlap's border than this a tip is on it [cells].
+_ON_BORDER = 1e-6
 # A crack whose line leaves its tip's direction by less than this angle within the ring is straight [rad].
 _STRAIGHT = 0.02
 
@@ -105,7 +118,7 @@ class TipState:
     length : float
         Reference length of the whole crack [m].
     release_rate : float
-        J [J/m^2].
+        J [J/m^2]; NaN where no ring around the tip fits beside an overlap and none did before.
     release_opening, release_sliding : float
         G_I and G_II by virtual crack closure [J/m^2]; NaN where the closure does not fit into the body.
     intensity_opening, intensity_sliding : float
@@ -113,11 +126,14 @@ class TipState:
     angle : float
         Direction of the largest hoop stress [rad], from the tip's direction, positive to the left.
     hoop_stress : float
-        Stress across that direction one cell ahead [Pa]. The critical stress to save for a `start_stress`.
+        Stress across that direction one cell ahead [Pa]. The critical stress to save for a `start_stress`. NaN where
+        there is no material.
     grown : float
         By how much the tip has grown at this step [m].
     woken : bool
         Did the crack's `start_stress` wake it at this step?
+    reached : bool
+        Did it come to the border of an overlap, which it will not enter?
     """
 
     step: int
@@ -136,6 +152,7 @@ class TipState:
     hoop_stress: float
     grown: float = 0.0
     woken: bool = False
+    reached: bool = False
 
 
 class CrackedSolver(Protocol):
@@ -166,14 +183,16 @@ class CrackGrowth:
     interval : int
         Steps between measurements, at least 4. A tip can grow once in an interval, so the interval sets the
         fastest growth: increment over interval times the time step.
+    overlaps : sequence of (k, 2) ndarray
+        Outer borders of overlaps with atoms, simple polygons [m].
 
     Attributes
     ----------
     tips : list of TipState
         The last measurement of every tip.
     lost : set of (int, int)
-        Tips (crack, end) too near the body's surface, another tip or an interface for any ring. They are no
-        longer measured and stand still.
+        Tips (crack, end) too near the body's surface or another tip for any ring. They are no longer measured and
+        stand still.
 
     Raises
     ------
@@ -181,7 +200,7 @@ class CrackGrowth:
         If there is no crack, a growth law is of another type, or the interval is too short.
     """
 
-    def __init__(self, solver: CrackedSolver, interval: int = 20) -> None:
+    def __init__(self, solver: CrackedSolver, interval: int = 20, overlaps: Sequence[FloatArray] = ()) -> None:
         if not solver.cracks:
             raise ValueError("solver.cracks: there is no crack that could grow")
         if int(interval) != interval or interval < _WINDOW:
@@ -193,7 +212,11 @@ class CrackGrowth:
             self._laws.append(_law_of(number, crack))
         self.tips: list[TipState] = []
         self.lost: set[tuple[int, int]] = set()
-        self._before: list[FractureFields] | None = None
+        self._overlaps = tuple(overlaps)
+        self._before: dict[tuple[int, int], FractureFields] = {}
+        #: Last J of the tips that were measured by a ring, and those that wait at the border of an overlap.
+        self._last: dict[tuple[int, int], float] = {}
+        self._waiting: set[tuple[int, int]] = set()
         self._asleep = {number for number, law in enumerate(self._laws) if law and law.start_stress is not None}
 
     def advance(self, steps: int) -> list[TipState]:
@@ -202,7 +225,7 @@ class CrackGrowth:
         Returns
         -------
         list of TipState
-            Events: tips that grew or woke, in order.
+            Events: tips that grew, woke or came to an overlap, in order.
 
         Raises
         ------
@@ -220,40 +243,56 @@ class CrackGrowth:
             stop = due - _WINDOW if solver.step < due - _WINDOW else due
             solver.advance(min(stop, end) - solver.step)
             if solver.step == due - _WINDOW:
-                self._before = [self._gather(tip) for tip in solver.cracks.tips]
+                self._before = {(tip.crack, tip.end): self._gather(tip) for tip in solver.cracks.tips}
             elif solver.step == due:
-                events += self._measure(self._before)
-                self._before = None
+                events += self._measure()
+                self._before = {}
         return events
+
+    def forget(self, crack: int, end: int) -> None:
+        """Take a tip for a new one, since someone has moved it."""
+        self.lost.discard((crack, end))
+        self._last.pop((crack, end), None)
+        self._waiting.discard((crack, end))
 
     def state(self) -> dict[str, NDArray[Any]]:
         """What a restart needs beside the solver's state: which cracks sleep, which tips are lost, fields of before."""
-        counts = [fields.position.shape[0] for fields in self._before or ()]
+        gathered = list(self._before.values())
         before = {
-            f"growth_before_{name}": np.concatenate([getattr(fields, name) for fields in self._before or ()])
-            if counts
+            f"growth_before_{name}": np.concatenate([getattr(fields, name) for fields in gathered])
+            if gathered
             else np.zeros(0)
             for name in FractureFields._fields
         }
         return {
-            "growth_before_count": np.array(counts, dtype=np.int64),
+            "growth_before_tip": np.array(list(self._before), dtype=np.int64).reshape(-1, 2),
+            "growth_before_count": np.array([fields.position.shape[0] for fields in gathered], dtype=np.int64),
             **before,
             "growth_asleep": np.array(sorted(self._asleep), dtype=np.int64),
             "growth_lost": np.array(sorted(self.lost), dtype=np.int64).reshape(-1, 2),
+            "growth_waiting": np.array(sorted(self._waiting), dtype=np.int64).reshape(-1, 2),
+            "growth_last_tip": np.array(list(self._last), dtype=np.int64).reshape(-1, 2),
+            "growth_last_j": np.array(list(self._last.values()), dtype=np.float64),
         }
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
         """Take back a state, exactly."""
         counts = state["growth_before_count"]
-        ends = np.cumsum(counts)
-        self._before = None
+        self._before = {}
         if counts.size:
-            parts = {name: np.split(state[f"growth_before_{name}"], ends[:-1]) for name in FractureFields._fields}
-            self._before = [
-                FractureFields(**{name: part[k] for name, part in parts.items()}) for k in range(counts.size)
-            ]
+            ends = np.cumsum(counts)[:-1]
+            parts = {
+                name: state[f"growth_before_{name}"].reshape(counts.size, 2, 2)
+                if name == "rotation"
+                else np.split(state[f"growth_before_{name}"], ends)
+                for name in FractureFields._fields
+            }
+            for k, key in enumerate(_keys(state["growth_before_tip"])):
+                self._before[key] = FractureFields(**{name: part[k] for name, part in parts.items()})
         self._asleep = {int(number) for number in state["growth_asleep"]}
-        self.lost = {(int(crack), int(end)) for crack, end in state["growth_lost"]}
+        self.lost = set(_keys(state["growth_lost"]))
+        self._waiting = set(_keys(state["growth_waiting"]))
+        self._last = dict(zip(_keys(state["growth_last_tip"]), map(float, state["growth_last_j"]), strict=True))
 
     # ---- inner -------------------------------------------------------------------------------------
 
@@ -266,22 +305,26 @@ class CrackGrowth:
         radius = max(RING[1], np.sqrt(2.0) * CLOSURE) * self._cell(tip)
         return fields_around(self._solver.points, self._solver.thickness, tip.reference, radius)
 
-    def _measure(self, before: Sequence[FractureFields] | None) -> list[TipState]:
-        solver = self._solver
-        tips: list[Tip] = solver.cracks.tips
+    def _outside(self, tip: Tip) -> float:
+        """Distance of a tip from the nearest overlap [m], negative inside one."""
+        return min((distance_outside(border, tip.reference) for border in self._overlaps), default=np.inf)
+
+    def _measure(self) -> list[TipState]:
+        tips: list[Tip] = self._solver.cracks.tips
         self.tips = []
         events = []
-        for number, tip in enumerate(tips):
-            if (tip.crack, tip.end) in self.lost:
+        for tip in tips:
+            key = (tip.crack, tip.end)
+            if key in self.lost or self._outside(tip) < -_ON_BORDER * self._cell(tip):
                 continue
             others = np.array([other.reference for other in tips if other is not tip]).reshape(-1, 2)
-            state = self._state_of(tip, None if before is None else before[number], others)
+            state = self._state_of(tip, self._before.get(key), others)
             if state is None:
-                self.lost.add((tip.crack, tip.end))
+                self.lost.add(key)
                 continue
             event = self._grow(tip, state)
             self.tips.append(event)
-            if event.grown > 0.0 or event.woken:
+            if event.grown > 0.0 or event.woken or event.reached:
                 events.append(event)
         return events
 
@@ -295,6 +338,7 @@ class CrackGrowth:
             rates = rates_between(before, fields, _WINDOW * solver.time_step)
         line = solver.cracks.line(tip.crack)
         path = line if tip.end == 0 else line[::-1]
+        outer_most = RINGS[0][1] * cell
         for ring in RINGS:
             inner, outer = (radius * cell for radius in ring)
             straight = is_straight(path, tip.reference_direction, outer)
@@ -304,16 +348,20 @@ class CrackGrowth:
                 )
             except ValueError:
                 continue
+            self._last[tip.crack, tip.end] = release
+            fits = True
             break
         else:
-            return None
+            if self._outside(tip) > outer_most:
+                return None
+            release, fits = self._last.get((tip.crack, tip.end), float("nan")), False
         jump = jump_behind(solver.cracks, tip, _BEHIND * cell)
         material = solver.materials[0]
         young, poisson = getattr(material, "young", None), getattr(material, "poisson", None)
         plane_stress = material.assumption == "plane_stress"
         intensities = Intensities(float("nan"), float("nan"))
         if young is not None and poisson is not None:
-            if straight:
+            if straight and fits:
                 intensities = interaction_intensities(
                     fields, frame, inner, outer, young, poisson, plane_stress, rates, others
                 )
@@ -321,7 +369,7 @@ class CrackGrowth:
                 intensities = intensities_from_opening(release, jump[0], jump[1], young, poisson, plane_stress)
         # The angle depends on the ratio of the modes alone, which the faces show for any material.
         angle = crack_extension_angle(intensities if np.isfinite(intensities[0]) else Intensities(jump[0], jump[1]))
-        closure = CLOSURE * cell if ring == RING and straight else 0.0
+        closure = CLOSURE * cell if fits and ring == RING and straight else 0.0
         parts = (float("nan"), float("nan"))
         if closure > 0.0:
             opening, sliding = jump_behind(solver.cracks, tip, closure)
@@ -338,8 +386,16 @@ class CrackGrowth:
             *parts,
             *intensities,
             angle,
-            float(stress_ahead(fields, frame, _AHEAD * cell, angle, _AHEAD * cell)[0]),
+            self._hoop_stress(fields, frame, angle, cell),
         )
+
+    @staticmethod
+    def _hoop_stress(fields: FractureFields, frame: TipFrame, angle: float, cell: float) -> float:
+        """Stress across a direction, one cell ahead [Pa]; NaN where there is no material."""
+        try:
+            return float(stress_ahead(fields, frame, _AHEAD * cell, angle, _AHEAD * cell)[0])
+        except ValueError:
+            return float("nan")
 
     def _grow(self, tip: Tip, state: TipState) -> TipState:
         law = self._laws[tip.crack]
@@ -348,18 +404,32 @@ class CrackGrowth:
         woken = False
         if tip.crack in self._asleep:
             assert law.start_stress is not None
-            if state.hoop_stress < law.start_stress:
+            if not state.hoop_stress >= law.start_stress:
                 return state
             self._asleep.discard(tip.crack)
             woken = True
+        if not state.release_rate >= law.toughness:
+            return replace(state, woken=woken)
+        cell = self._cell(tip)
+        length = law.increment if law.increment is not None else INCREMENT * cell
+        angle = state.angle if law.direction == "hoop" else 0.0
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        step = length * (turn @ tip.reference_direction)
+        share = min((way_before(border, tip.reference, step) for border in self._overlaps), default=1.0)
         grown = 0.0
-        if state.release_rate >= law.toughness:
-            grown = law.increment if law.increment is not None else INCREMENT * self._cell(tip)
-            angle = state.angle if law.direction == "hoop" else 0.0
-            turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-            end = self._solver.cracks.extend(tip.crack, tip.end, grown * (turn @ tip.reference_direction))
+        if abs(self._outside(tip)) <= _ON_BORDER * cell:
+            share = 0.0
+        elif share > 0.0:
+            end = self._solver.cracks.extend(tip.crack, tip.end, share * step)
             grown = float(np.hypot(*(end - tip.reference)))
-        return replace(state, grown=grown, woken=woken)
+        reached = share < 1.0 and (tip.crack, tip.end) not in self._waiting
+        if reached:
+            self._waiting.add((tip.crack, tip.end))
+        return replace(state, grown=grown, woken=woken, reached=reached)
+
+
+def _keys(table: NDArray[Any]) -> list[tuple[int, int]]:
+    return [(int(crack), int(end)) for crack, end in table]
 
 
 def _law_of(number: int, crack: Crack) -> GrowthLaw | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -107,6 +108,14 @@ def meeting(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> float
     t = (w[0] * s[1] - w[1] * s[0]) / across
     u = (w[0] * r[1] - w[1] * r[0]) / across
     return float(t) if 0.0 <= t <= 1.0 and 0.0 <= u <= 1.0 else None
+
+
+def meets_line(segment: FloatArray, line: FloatArray, slack: float) -> bool:
+    """Does a segment (2, 2) cross a line (k, 2), touch it, or run along it, within ``slack`` [m]?"""
+    corners = ((segment, 1, place) for place in line), ((line, line.shape[0] - 1, place) for place in segment)
+    if any(nearest_on_line(v, 0, last, place[0], place[1])[2] <= slack for part in corners for v, last, place in part):
+        return True
+    return any(meeting(segment[0], segment[1], a, b) is not None for a, b in pairwise(line))
 
 
 @njit(inline="always")

@@ -49,14 +49,23 @@ class _Pushed:
         self._solver.advance(steps, **self.forces)
 
 
+def outer_borders(request: messages.ContinuumConfigure) -> list[FloatArray]:
+    """Return the outer borders of the overlaps of a problem, (k, 2) each [m]."""
+    found = [np.array(region.outer) for region in request.overlaps]
+    if request.overlap is not None:
+        (x0, y0), (x1, y1) = request.overlap.outer.lower, request.overlap.outer.upper
+        found.append(np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]))
+    return found
+
+
 class CrackReports:
     """Advances a solver, measures its crack tips where that is asked for, and tells of them.
 
     Parameters
     ----------
     solver : MaterialPointSolver
-    cracks : list of CrackLine
-        Of the request.
+    request : ContinuumConfigure
+        Whose cracks they are.
 
     Raises
     ------
@@ -66,13 +75,13 @@ class CrackReports:
         If the interval is shorter than a measurement takes.
     """
 
-    def __init__(self, solver: MaterialPointSolver, cracks: list[messages.CrackLine]) -> None:
+    def __init__(self, solver: MaterialPointSolver, request: messages.ContinuumConfigure) -> None:
         self._solver = _Pushed(solver)
-        self._cracks = cracks
+        self._cracks = request.cracks
         #: Last measurement of each tip: step, whether the tip grew then, and the values; NaN where there is none.
         self._measured: dict[tuple[int, int], tuple[int, bool, list[float]]] = {}
         interval = self._interval()
-        self._growth = CrackGrowth(self._solver, interval) if interval else None
+        self._growth = CrackGrowth(self._solver, interval, outer_borders(request)) if interval else None
 
     def _interval(self) -> int:
         """Return the steps between measurements; 0 where there are none."""
@@ -107,6 +116,20 @@ class CrackReports:
         measured = {(state.crack, state.end) for state in self._growth.tips}
         return [event for state in self._growth.tips for event in self._note(state)] + self._gone(measured)
 
+    def extend(self, request: messages.CrackExtension) -> messages.CrackExtended:
+        """Let a crack go on as asked; what was measured at its tip before is forgotten.
+
+        Raises
+        ------
+        ValueError
+            As `MaterialPointSolver.extend_crack`.
+        """
+        self._solver.extend_crack(request.crack, request.end, request.points)
+        self._measured.pop((request.crack, request.end), None)
+        if self._growth is not None:
+            self._growth.forget(request.crack, request.end)
+        return messages.CrackExtended(step=self._solver.step, tips=self.tips())
+
     def _gone(self, measured: set[tuple[int, int]]) -> list[messages.ContinuumEvent]:
         """Return the arrest of tips that grew, but have come too near a border to be measured any more."""
         found = []
@@ -125,18 +148,25 @@ class CrackReports:
         key = (state.crack, state.end)
         _, grew_before, _ = self._measured.get(key, (0, False, []))
         grew = state.grown > 0.0
-        self._measured[key] = (state.step, grew, [getattr(state, name) for name in _MEASURED.values()])
-        if not grew and not grew_before:
-            return []
+        # A tip that has reached an overlap is at rest, and that was told.
+        goes_on = grew and not state.reached
+        self._measured[key] = (state.step, goes_on, [getattr(state, name) for name in _MEASURED.values()])
+        told = []
+        if grew:
+            told.append(("growth", f"grew by {state.grown:.4g} m"))
+        if state.reached:
+            told.append(("reached_overlap", "came to the border of an overlap"))
+        elif grew_before and not grew:
+            told.append(("arrest", "came to rest"))
         now = {(tip.crack, tip.end): tip for tip in self._solver.cracks.tips}
         tip = self._tip(now[key]) if key in now else None
-        what = f"grew by {state.grown:.4g} m" if grew else "came to rest"
-        sentence = (
-            f"step {state.step}: crack {state.crack} {what} at its {('first', 'last')[state.end]} end, "
-            f"J = {state.release_rate:.4g} J/m2"
-        )
-        kind = "growth" if grew else "arrest"
-        return [messages.ContinuumEvent(kind=kind, step=state.step, sentence=sentence, tip=tip)]
+        where = f"at its {('first', 'last')[state.end]} end, J = {state.release_rate:.4g} J/m2"
+        return [
+            messages.ContinuumEvent(
+                kind=kind, step=state.step, sentence=f"step {state.step}: crack {state.crack} {what} {where}", tip=tip
+            )
+            for kind, what in told
+        ]
 
     def tips(self) -> list[messages.CrackTip]:
         """Return the tips inside the body."""

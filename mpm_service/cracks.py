@@ -17,8 +17,17 @@ from scipy.spatial import cKDTree
 
 from .contact import press_faces
 from .crack_ends import cut_line, end_of, find_joints, has_material_ahead
+from .crack_extension import check_extension
 from .crack_faces import Markers, empty_markers, fit_faces, move_faces, place_markers, tie_loose_faces
-from .crack_line import Contact, Crack, check_line, meeting, nearest_on_line, push_left, unit_tangent
+from .crack_line import (
+    Contact,
+    Crack,
+    check_line,
+    meeting,
+    nearest_on_line,
+    push_left,
+    unit_tangent,
+)
 from .errors import SolverError
 from .near_nodes import (
     NUDGE,
@@ -165,12 +174,12 @@ class CrackSet:
         ``kept`` maps (crack, marker in it) to markers of ``old`` whose points are still right.
         """
         lines, cracks = self._lines, range(len(self._lines))
-        self._joints, met = find_joints(lines, self._cell_at, 4.0 * (self.reach + _SLACK))
-        cut = [cut_line(lines[c], [(c, e) not in met for e in range(2)], self._cell_at) for c in cracks]
+        self._joints, self._met = find_joints(lines, self._cell_at, 4.0 * (self.reach + _SLACK))
+        cut = [cut_line(lines[c], [(c, e) not in self._met for e in range(2)], self._cell_at) for c in cracks]
         self._vertex_start = np.concatenate([[0], np.cumsum([c.shape[0] for c in cut])]).astype(np.int64)
         # A point on a line counts as left of it; a copy, since the faces must follow the points as they are.
         self._reference = self._stated.copy()
-        ahead = self._find_tips(cut, met)
+        ahead = self._find_tips(cut)
         self._vertex = np.ascontiguousarray(np.concatenate(ahead))
         for line in ahead:
             push_left(self._reference, line, 0, line.shape[0] - 1, NUDGE * float(self._cell_at(line).min()))
@@ -193,14 +202,14 @@ class CrackSet:
         self._markers = markers
         self._line = np.empty_like(markers.reference)
 
-    def _find_tips(self, cut: list[FloatArray], met: set[tuple[int, int]]) -> list[FloatArray]:
+    def _find_tips(self, cut: list[FloatArray]) -> list[FloatArray]:
         """Find the ends that are tips; return the cut lines, each going on straight for a cell ahead of its tips."""
         ahead = [line.copy() for line in cut]
         self._tip_ends = [
             (c, e)
             for c, line in enumerate(self._lines)
             for e in range(2)
-            if (c, e) not in met and has_material_ahead(line, e, self._stated, self._tree, self._cell_at)
+            if (c, e) not in self._met and has_material_ahead(line, e, self._stated, self._tree, self._cell_at)
         ]
         self._tips = np.zeros((len(cut), 2, 5))
         for c, e in self._tip_ends:
@@ -499,20 +508,48 @@ class CrackSet:
                     met = meeting(place, place + step, line[g], line[g + 1])
                     share = share if met is None else min(share, met)
         new = place + share * step
-        line = np.concatenate([[new], old_line]) if end == 0 else np.concatenate([old_line, [new]])
-        check_line(line)
-        self._grow(crack, end, np.ascontiguousarray(line))
+        self._grow(crack, end, new[None])
         return new.copy()
 
-    def _grow(self, crack: int, end: int, line: FloatArray) -> None:
+    def lengthen(self, crack: int, end: int, points: ArrayLike, body: tuple[FloatArray, FloatArray]) -> None:
+        """Let a crack go on along given corners, also where there is no material.
+
+        Parameters
+        ----------
+        crack, end : int
+            An end inside the body that meets no other crack; it may lie in a hole.
+        points : (k, 2) array_like
+            Corners in the reference state [m], inside the body; the last is the new end.
+        body : (lower, upper)
+            Corners of the body [m].
+
+        Raises
+        ------
+        ValueError
+            If there is no such end, a corner lies outside the body, or the line would meet another crack or itself;
+            the message begins with ``crack``, ``end`` or ``points``.
+
+        Notes
+        -----
+        As for `extend`.
+        """
+        corners = check_extension(self._lines, self._met, crack, end, points, body, self._cell_at)
+        try:
+            self._grow(crack, end, corners)
+        except ValueError as error:
+            raise ValueError(f"points = {corners.tolist()} m: with them, {error}") from None
+
+    def _grow(self, crack: int, end: int, corners: FloatArray) -> None:
+        """Put corners (k, 2) behind an end of a crack; ValueError where the line would meet itself."""
         old, old_faces, old_found = self._markers, self._faces, self._found
-        former = self._lines[crack][0 if end == 0 else -1]
-        new = line[0 if end == 0 else -1]
+        former = self._lines[crack]
+        line = np.concatenate([corners[::-1], former] if end == 0 else [former, corners])
+        check_line(line)
         added = place_markers(line, self._cell_at).shape[0] - int(old.start[crack + 1] - old.start[crack])
-        self._lines[crack] = line
+        self._lines[crack] = np.ascontiguousarray(line)
         # Points that a marker follows depend on what lies within its fit's reach only.
-        cell = float(self._cell_at(np.array([former, new])).max())
-        touched = 4.0 * cell + float(np.hypot(*(new - former)))
+        way = np.ascontiguousarray(np.concatenate([former[-end][None], corners]))
+        touched = 4.0 * float(self._cell_at(way).max())
         kept = {}
         source: list[int] = []
         for c in range(len(self._lines)):
@@ -520,7 +557,7 @@ class CrackSet:
             shift = added if c == crack and end == 0 else 0
             here = list(range(int(old.start[c]), int(old.start[c + 1])))
             for i, m in enumerate(here):
-                if np.hypot(*(old.reference[m] - former)) > touched:
+                if nearest_on_line(way, 0, way.shape[0] - 1, *old.reference[m])[2] > touched:
                     kept[(c, i + shift)] = m
             if c == crack:
                 here = [here[0]] * added + here if end == 0 else here + [here[-1]] * added

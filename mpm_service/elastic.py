@@ -104,6 +104,10 @@ class LinearElastic(Material):
         if failed >= 0:
             raise_no_volume(type(self).__name__, rows, ids, failed)
 
+    def tangent(self, rows: FloatArray, ids: IdArray, history: FloatArray) -> FloatArray:
+        """Return the stiffness, right to the first order of strain; see `Material.tangent`."""
+        return np.broadcast_to(self.stiffness, (rows.shape[0], *self.stiffness.shape))
+
     def _strain(self, rows: FloatArray) -> FloatArray:
         """Engineering strain in the order of `stiffness`."""
         dim = 3 if self.assumption == "three_dimensional" else 2

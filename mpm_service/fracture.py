@@ -30,7 +30,7 @@ FloatArray = NDArray[np.float64]
 RING = (2.0, 6.0)
 #: Closure length of `vcct` unless another is stated [cells].
 CLOSURE = 5.0
-# Share of the ring's weighted area that the points must cover, and how exactly.
+# Share of the ring's area, weighted by q, that the points must cover, and how exactly.
 _COVER = 0.01
 # Points of the ring whose sizes differ by more than this factor belong to different levels.
 _SAME_SIZE = 1.5
@@ -55,6 +55,8 @@ class PointState(Protocol):
     def mass(self) -> FloatArray: ...
     @property
     def reference_volume(self) -> FloatArray: ...
+    @property
+    def weight(self) -> FloatArray: ...
 
 
 class TipFrame(NamedTuple):
@@ -79,6 +81,9 @@ class TipFrame(NamedTuple):
 class FractureFields(NamedTuple):
     """Points within reach of a tip, per unit thickness, in the reference state.
 
+    In an overlap a point stands for all the material there, what the atoms carry too: energy, mass and area are those
+    of the whole, not the point's share of them.
+
     Displacements are counted from the body turned by the points' mean rotation R: the gradient is ``R^T F - I``, the
     stress ``R^T P``, and so on. Nothing measured here depends on R, but with a gradient of order one the sums over
     points would lose the small difference that matters.
@@ -97,7 +102,7 @@ class FractureFields(NamedTuple):
     mass: FloatArray
     """(n,) mass over thickness [kg/m]."""
     area: FloatArray
-    """(n,) weighted reference area [m^2]."""
+    """(n,) reference area [m^2]."""
     rotation: FloatArray
     """(2, 2) mean rotation of the points, which has been taken out of all vectors and tensors above."""
 
@@ -147,7 +152,7 @@ def fields_around(points: PointState, thickness: float, centre: ArrayLike, radiu
     place = points.reference_position
     near = np.flatnonzero(points.alive & (np.hypot(*(place - np.asarray(centre, dtype=np.float64)).T) <= radius))
     gradient = points.displacement_gradient[near]
-    volume = points.reference_volume[near]
+    volume = points.reference_volume[near] / points.weight[near]
     if near.size == 0:
         raise ValueError(f"no material point within {radius:.6g} m of {np.asarray(centre).tolist()} m")
     deformation = np.eye(2) + gradient
@@ -161,9 +166,9 @@ def fields_around(points: PointState, thickness: float, centre: ArrayLike, radiu
         np.ascontiguousarray(place[near]),
         back @ gradient + (back - np.eye(2)),
         np.ascontiguousarray(back @ first),
-        points.strain_energy[near] / thickness,
+        points.strain_energy[near] / (points.weight[near] * thickness),
         np.ascontiguousarray(points.velocity[near] @ rotation),
-        points.mass[near] / thickness,
+        points.mass[near] / (points.weight[near] * thickness),
         volume / thickness,
         rotation,
     )
@@ -251,15 +256,14 @@ def _check_ring(fields: FractureFields, tip: TipFrame, inner: float, outer: floa
     if not abs(covered / whole - 1.0) <= _COVER:
         raise ValueError(
             f"outer = {outer:.6g} m: the ring around the tip ({tip.position[0]:.9g}, {tip.position[1]:.9g}) m does not "
-            f"lie in the body (points fill {covered / whole:.1%} of it, each by its weight); a smaller ring is needed, "
-            "or smaller cells"
+            f"lie in the body (points fill {covered / whole:.1%} of it); a smaller ring is needed, or smaller cells"
         )
     inside = distance < outer
     size = fields.area[inside]
     if size.max() > _SAME_SIZE * size.min():
         warnings.warn(
             f"the ring of {outer:.6g} m around the tip ({tip.position[0]:.9g}, {tip.position[1]:.9g}) m holds points "
-            "of different size or weight: J is less exact across a level border and wrong in an overlap",
+            "of different size: J is less exact across a level border",
             stacklevel=3,
         )
     for place in np.zeros((0, 2)) if others is None else np.asarray(others, dtype=np.float64).reshape(-1, 2):
@@ -310,7 +314,7 @@ def j_integral(
     Warns
     -----
     UserWarning
-        If the ring holds points of different size or weight.
+        If the ring holds points of different size.
 
     Notes
     -----

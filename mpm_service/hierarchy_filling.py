@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .hierarchy import HierarchicalGrid
-from .material_points import Body, Overlap, Rectangle
+from .material_points import Body
 
 FloatArray = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ def _covered(origin: float, cell: float, cells: int, low: float, high: float) ->
     return share
 
 
-def _cells_inside(grid: HierarchicalGrid, level: int, name: str, corners: FloatArray) -> NDArray[np.bool_]:
+def _cells_inside(grid: HierarchicalGrid, level: int, corners: FloatArray) -> NDArray[np.bool_]:
     """Cells of a level, finer ones left out, that lie in a rectangle; none may be cut."""
     lattice = grid.grids[level]
     along = [
@@ -45,17 +45,10 @@ def _cells_inside(grid: HierarchicalGrid, level: int, name: str, corners: FloatA
         value = float(corners[which, axis])
         nearest = lattice.origin[axis] + round((value - lattice.origin[axis]) / lattice.cell_size) * lattice.cell_size
         raise ValueError(
-            f"{name} {('lower', 'upper')[which]}[{axis}] = {value!r} m: cuts cells of level {level} "
+            f"body {('lower', 'upper')[which]}[{axis}] = {value!r} m: cuts cells of level {level} "
             f"({lattice.cell_size!r} m); the nearest allowed value is {nearest!r} m"
         )
     return share > 0.0
-
-
-def _share_inside(position: FloatArray, half: FloatArray, lower: Sequence[float], upper: Sequence[float]) -> FloatArray:
-    """Share of each point's square domain that lies in a rectangle."""
-    reach = half[:, None]
-    covered = np.minimum(position + reach, np.asarray(upper)) - np.maximum(position - reach, np.asarray(lower))
-    return np.asarray(np.prod(np.clip(covered / (2.0 * reach), 0.0, 1.0), axis=1))
 
 
 def fill_hierarchy(
@@ -63,8 +56,6 @@ def fill_hierarchy(
     lower: Sequence[float],
     upper: Sequence[float],
     points_per_cell: int = 2,
-    hole: Rectangle | None = None,
-    overlap: Overlap | None = None,
 ) -> Body:
     """Fill a rectangle with points at the centres of equal parts of the cells of each level.
 
@@ -76,10 +67,6 @@ def fill_hierarchy(
         Corners of the body [m]; edges lie on cell lines of every level that they pass through.
     points_per_cell : int
         Points per cell and direction.
-    hole : (lower, upper), optional
-        Rectangle without points, on cell lines likewise [m].
-    overlap : Overlap, optional
-        Ring of reduced weight, as in `fill_rectangle`.
 
     Returns
     -------
@@ -89,18 +76,14 @@ def fill_hierarchy(
     Raises
     ------
     ValueError
-        If the body leaves the grid, an edge cuts a cell (level and nearest allowed value are named) or nothing is
-        left to fill.
+        If the body leaves the grid, or an edge cuts a cell (level and nearest allowed value are named).
     """
     if int(points_per_cell) != points_per_cell or points_per_cell < 1:
         raise ValueError(f"points_per_cell = {points_per_cell!r}: a whole number of at least 1 is needed")
     points_per_cell = int(points_per_cell)
     body = np.array([lower, upper], dtype=np.float64)
     slack = _LINE_TOLERANCE * grid.grid.cell_size
-    opening = None if hole is None else np.array(hole, dtype=np.float64)
     for axis in range(2):
-        if opening is not None and not opening[0, axis] < opening[1, axis]:
-            raise ValueError(f"hole upper[{axis}] = {float(opening[1, axis])!r} m: must lie above hole lower[{axis}]")
         if not body[0, axis] < body[1, axis]:
             raise ValueError(f"upper[{axis}] = {float(body[1, axis])!r} m: must lie above lower[{axis}]")
         start, end = float(grid.grid.lower[axis]), float(grid.grid.upper[axis])
@@ -113,27 +96,16 @@ def fill_hierarchy(
     part = (np.arange(points_per_cell) + 0.5) / points_per_cell
     py, px = (a.ravel() for a in np.meshgrid(part, part, indexing="ij"))
     for level, lattice in enumerate(grid.grids):
-        filled = _cells_inside(grid, level, "body", body)
-        if opening is not None:
-            filled &= ~_cells_inside(grid, level, "hole", opening)
-        j, i = np.nonzero(filled)
+        j, i = np.nonzero(_cells_inside(grid, level, body))
         place = np.stack([(i[:, None] + px).ravel(), (j[:, None] + py).ravel()], axis=1)
         position.append(lattice.lower + lattice.cell_size * place)
         half.append(np.full(place.shape[0], 0.5 * lattice.cell_size / points_per_cell))
     place = np.ascontiguousarray(np.concatenate(position))
     count = place.shape[0]
-    if count == 0:
-        raise ValueError("hole: covers the whole body, no material point is left")
-    sizes = np.concatenate(half)
-    weight = np.ones(count)
-    if overlap is not None:
-        shared = _share_inside(place, sizes, overlap.outer_lower, overlap.outer_upper)
-        shared -= _share_inside(place, sizes, overlap.inner_lower, overlap.inner_upper)
-        weight -= (1.0 - overlap.weight) * shared
     return Body(
         place,
-        weight,
-        sizes,
+        np.ones(count),
+        np.concatenate(half),
         grid.grid.cell_size,
         points_per_cell,
         body[0],

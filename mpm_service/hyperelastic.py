@@ -157,6 +157,28 @@ class NeoHookean(Material):
         if failed >= 0:
             raise_no_volume("NeoHookean", rows, ids, failed)
 
+    def tangent(self, rows: FloatArray, ids: IdArray, history: FloatArray) -> FloatArray:
+        """Return the law's moduli; see `Material.tangent`.
+
+        With ``tau = mu (b - I) + p I`` and p a function of ``J^2 - 1`` they are ``2 J^2 p' I I + 2 (mu - p)`` times
+        the symmetric unit tensor.
+        """
+        dim = 3 if self.assumption == "three_dimensional" else 2
+        change = volume_change(displacement_gradient(rows, dim))
+        squared = change * (2.0 + change)
+        slope = np.full(rows.shape[0], 0.5 * self.lame)
+        pressure = 0.5 * self.lame * squared
+        if self.assumption == "plane_stress":
+            thins = 2.0 * self.shear_modulus / (2.0 * self.shear_modulus + self.lame * (1.0 + squared))
+            pressure *= thins
+            slope *= thins * thins * (1.0 + self.lame / (2.0 * self.shear_modulus))
+        size = 3 if dim == 2 else 6
+        moduli = np.zeros((rows.shape[0], size, size))
+        moduli[:, :dim, :dim] = (2.0 * (1.0 + squared) * slope)[:, None, None]
+        diagonal = np.array([2.0] * dim + [1.0] * (size - dim))
+        moduli += (self.shear_modulus - pressure)[:, None, None] * np.diag(diagonal)
+        return moduli
+
     def _thickness_strain(self, rows: FloatArray) -> FloatArray:
         """F_zz - 1 of plane laws, (n,)."""
         if self.assumption != "plane_stress":

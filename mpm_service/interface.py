@@ -41,22 +41,18 @@ def _ride(
     node: IntArray,
     weight: FloatArray,
     count: IntArray,
-    force: FloatArray,
     motion: FloatArray,
     time_step: float,
     displacement: FloatArray,
     velocity: FloatArray,
-) -> float:
-    work = 0.0
+) -> None:
     for a in range(count.size):
-        for axis in range(force.shape[1]):
+        for axis in range(displacement.shape[1]):
             v = 0.0
             for e in range(count[a]):
                 v += weight[a, e] * motion[node[a, e], axis]
             velocity[a, axis] = v
             displacement[a, axis] += time_step * v
-            work += time_step * force[a, axis] * v
-    return work
 
 
 class Anchors:
@@ -68,19 +64,28 @@ class Anchors:
         Reference positions [m].
     ivc : (n,) ndarray of int
         Interface volume cell of each anchor.
+    displacement : (n, d) ndarray, optional
+        That they have already [m]; none if not given.
 
     Attributes
     ----------
     displacement, velocity, force : (n, d) ndarray
-        Since registration [m]; of the last step [m/s]; on the continuum now [N].
+        Since registration, plus what they had [m]; of the last step [m/s]; on the continuum now [N].
     work : float
-        Force times displacement since registration [J].
+        Done by the forces on the nodes since registration [J].
     """
 
-    def __init__(self, position: FloatArray, ivc: IntArray, mapping: Mapping, cracks: CrackSet | None) -> None:
+    def __init__(
+        self,
+        position: FloatArray,
+        ivc: IntArray,
+        mapping: Mapping,
+        cracks: CrackSet | None,
+        displacement: FloatArray | None = None,
+    ) -> None:
         self.position = position
         self.ivc = ivc
-        self.displacement = np.zeros_like(position)
+        self.displacement = np.zeros_like(position) if displacement is None else displacement.copy()
         self.velocity = np.zeros_like(position)
         self.force = np.zeros_like(position)
         self.work = 0.0
@@ -106,19 +111,15 @@ class Anchors:
             self.weigh(momentum)
             stencils.add_forces(self._node, self._weight, self._count, self.force, momentum)
 
-    def follow(self, momentum: FloatArray, motion: FloatArray, time_step: float) -> None:
+    def book(self, momentum: FloatArray, halfway: FloatArray, duration: float) -> None:
+        """Add the work of the forces on the nodes."""
+        if self.position.size:
+            self.work += duration * stencils.power_of(self._node, self._weight, self._count, self.force, halfway)
+
+    def follow(self, motion: FloatArray, time_step: float) -> None:
         """Move with the nodes."""
         if self.position.size:
-            self.work += _ride(
-                self._node,
-                self._weight,
-                self._count,
-                self.force,
-                motion,
-                time_step,
-                self.displacement,
-                self.velocity,
-            )
+            _ride(self._node, self._weight, self._count, motion, time_step, self.displacement, self.velocity)
 
 
 class CellForces:
@@ -133,7 +134,7 @@ class CellForces:
     Attributes
     ----------
     work : float
-        Force times displacement of the points since the start [J].
+        Done by the forces on the nodes since the start [J].
     """
 
     def __init__(self, mapping: Mapping, cells: Sequence[IntArray]) -> None:
@@ -162,11 +163,8 @@ class CellForces:
         if self._ids.size:
             self._mapping.scatter_point_forces(self._mapping.points.row_of[self._ids], self._force, momentum)
 
-    def follow(self, momentum: FloatArray, motion: FloatArray, time_step: float) -> None:
-        """Book the work of the forces over the last increments of the points."""
+    def book(self, momentum: FloatArray, halfway: FloatArray, duration: float) -> None:
+        """Add the work of the forces on the nodes."""
         if self._ids.size:
-            c = self._mapping.columns
-            row = self._mapping.points.row_of[self._ids]
-            living = row < self._mapping.alive
-            moved = self._mapping.points.rows[row[living], c.increment : c.increment + c.dimension]
-            self.work += float(np.sum(self._force[living] * moved))
+            velocity = self._mapping.read_points(self._mapping.points.row_of[self._ids], halfway)
+            self.work += duration * float(np.sum(self._force * velocity))

@@ -28,7 +28,7 @@ from .dashpots import Dashpots
 from .loads import AbsorbingEdge, BodyForce, FacePlaces, Load, Traction, face_places
 from .material_points import columns
 from .scheme import Interpolation
-from .stencils import add_forces
+from .stencils import add_forces, power_of
 from .time_functions import Constant, Schedule, TimeFunction
 
 FloatArray = NDArray[np.float64]
@@ -42,6 +42,8 @@ with 0) where the points have them, else linear. A box outside the grid has coun
 """
 ScatterPoints = Callable[[IntArray, FloatArray], None]
 """``(rows (m,), force (m, d))``: spread forces on points [N] over the nodes by the points' own functions."""
+ReadPoints = Callable[[IntArray, FloatArray], FloatArray]
+"""``(rows (m,), velocity (R, d)) -> (m, d)``: nodal velocities read at points by the same functions."""
 
 # A node with less than this share of the heaviest node of a stencil is empty. It is so small because the internal
 # force on a sliver falls with the root of its mass only, and the load has to balance it.
@@ -159,17 +161,6 @@ def keep_to_material(
             total += weight[i, k]
         for k in range(count[i]):
             weight[i, k] = weight[i, k] / total if total > 0.0 else 0.0
-
-
-@njit(cache=True, nogil=True)
-def stencil_work(node: IntArray, weight: FloatArray, count: IntArray, force: FloatArray, velocity: FloatArray) -> float:
-    """Power [W] of forces that were put on the nodes of stencils."""
-    power = 0.0
-    for i in range(node.shape[0]):
-        for k in range(count[i]):
-            for a in range(force.shape[1]):
-                power += weight[i, k] * force[i, a] * velocity[node[i, k], a]
-    return power
 
 
 @njit(cache=True, nogil=True)
@@ -335,43 +326,37 @@ class LoadSet:
             stencils = self._stencils(self._dashpots.places, rows, row_of, alive, momentum, stencils_at)
             self._dashpots.apply(stencils, momentum, self._time_step)
 
-    def work(
-        self,
-        velocity: FloatArray,
-        momentum: FloatArray,
-        listed: Sequence[IntArray],
-        rows: FloatArray,
-        alive: int,
+    def power(
+        self, velocity: FloatArray, momentum: FloatArray, listed: Sequence[IntArray], read_points: ReadPoints
     ) -> FloatArray:
-        """Work of each load in the step, force times displacement increment [J], (loads,).
+        """Power of each load on nodes of given velocities [W], (loads,).
 
         Parameters
         ----------
-        velocity : (R, >= d) ndarray
-            Nodal velocities that move the points in this step [m/s].
+        velocity : (R, d) ndarray
+            [m/s]; with the means of old and new ones, power times the time step is the work of the step.
         momentum, listed
             As in `apply`.
-        rows, alive
-            Point table with the position increments of this step, still in the order of `apply`.
+        read_points : callable
+            Reads nodal velocities at points; used by body forces that are fields.
         """
-        work = np.zeros(len(self.loads))
+        power = np.zeros(len(self.loads))
         edge = 0
         for k, load in enumerate(self.loads):
             if isinstance(load, AbsorbingEdge):
                 assert self._dashpots is not None
-                work[k] = self._time_step * self._dashpots.power(edge, velocity)
+                power[k] = self._dashpots.power(edge, velocity)
                 edge += 1
                 continue
             acting = self._acting[k]
             if isinstance(acting, tuple):
                 node, weight, count, force = acting
-                work[k] = self._time_step * stencil_work(node, weight, count, force, velocity)
+                power[k] = power_of(node, weight, count, force, velocity)
             elif acting is not None and acting.ndim == 1:
-                work[k] = self._time_step * sum(_weight_power(part, acting, momentum, velocity) for part in listed)
+                power[k] = sum(_weight_power(part, acting, momentum, velocity) for part in listed)
             elif acting is not None:
-                first = columns(self._dimension).increment
-                work[k] = float(np.sum(acting * rows[:alive, first : first + self._dimension]))
-        return work
+                power[k] = float(np.sum(acting * read_points(np.arange(len(acting)), velocity)))
+        return power
 
     def _check_vector(self, name: str, vector: FloatArray) -> None:
         if vector.shape != (self._dimension,):

@@ -104,6 +104,8 @@ class Mapping:
         self._stencil_width = self._entries(dimension) * (2 if cracks is not None else 1)
         self._voigt = stencils.VOIGT[dimension]
         self._cracks = cracks
+        #: Are all points swept over tabulated stencils, and none on lattices? It takes effect with the next sort.
+        self.tabulates_all = dimension == 3
         self._mark = np.zeros(table_rows, dtype=np.uint8)
         self._listed = np.empty(table_rows, dtype=np.int64)
         self._used = 0
@@ -139,6 +141,11 @@ class Mapping:
         return self._listed[: self._used]
 
     @property
+    def tabulated(self) -> stencils.Stencils:
+        """Stencils of the irregular points as `tabulate` has left them."""
+        return self._table
+
+    @property
     def regular(self) -> int:
         """Number of points swept on lattices."""
         return int(self.begin[-1])
@@ -152,7 +159,7 @@ class Mapping:
         for table in tables:
             table[self.active] = 0.0
         special = np.zeros(int(self.levels.offset[-1]), dtype=np.uint8)
-        if self.columns.dimension == 3:
+        if self.tabulates_all:
             special[:] = 1
         if self._nested_mask is not None:
             special |= self._nested_mask
@@ -350,6 +357,22 @@ class Mapping:
         mine = np.flatnonzero((row >= self.regular) & (row < self.alive))
         if mine.size:
             stencils.add_forces_of(self._table, row[mine] - self.regular, force[mine], momentum)
+
+    def read_points(self, row: IntArray, velocity: FloatArray) -> FloatArray:
+        """Nodal velocities at points, given by their rows (k,), by the points' functions, (k, d) [m/s]."""
+        read = np.zeros((row.size, self.columns.dimension))
+        for level, lattice in enumerate(self._lattices):
+            mine = np.flatnonzero((row >= self.begin[level]) & (row < self.begin[level + 1]))
+            if mine.size:
+                part = np.empty((mine.size, read.shape[1]))
+                sweeps.read_points(self.points.rows, row[mine], lattice, velocity, part)
+                read[mine] = part
+        mine = np.flatnonzero((row >= self.regular) & (row < self.alive))
+        if mine.size:
+            part = np.empty((mine.size, read.shape[1]))
+            stencils.read_points(self._table, row[mine] - self.regular, velocity, part)
+            read[mine] = part
+        return read
 
     def update(self, motion: FloatArray, keep: float, time_step: float) -> float:
         """New velocities and increments of the points (Eqs 19-20); returns the largest increment [m]."""

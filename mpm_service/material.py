@@ -118,6 +118,20 @@ class Material(ABC):
             If the law has no stress for a point's deformation.
         """
 
+    def tangent(self, rows: FloatArray, ids: IdArray, history: FloatArray) -> FloatArray:
+        """Return the law's moduli at the present deformation, for statics [Pa], (n, 3, 3) or (n, 6, 6).
+
+        What Kirchhoff stress gains with engineering strain of the present place, apart from turning and stretching
+        with the material (the moduli of Truesdell's rate); components as those of stress. They need not be exact:
+        Newton's method is then slower.
+
+        Raises
+        ------
+        NotImplementedError
+            If the law has none.
+        """
+        raise NotImplementedError(f"{type(self).__name__} has no tangent")
+
     @abstractmethod
     def strain_energy(self, rows: FloatArray, ids: IdArray, history: FloatArray) -> FloatArray:
         """Return the recoverable energy of each point [J], (n,)."""

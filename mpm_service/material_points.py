@@ -48,40 +48,6 @@ Rectangle = tuple[Sequence[float], Sequence[float]]
 
 
 @dataclass(frozen=True)
-class Overlap:
-    """Square ring that the continuum shares with atoms, and the continuum's share there.
-
-    Parameters
-    ----------
-    inner_lower, inner_upper : (2,) sequence of float
-        Inner rectangle [m]; the ring lies outside it.
-    outer_lower, outer_upper : (2,) sequence of float
-        Outer rectangle [m]; the ring lies inside it.
-    weight : float
-        Factor on mass and stiffness of points in the ring, above 0 and at most 1.
-    """
-
-    inner_lower: Sequence[float]
-    inner_upper: Sequence[float]
-    outer_lower: Sequence[float]
-    outer_upper: Sequence[float]
-    weight: float
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.weight <= 1.0:
-            raise ValueError(f"Overlap.weight = {self.weight!r}: must be above 0 and at most 1")
-        for axis in range(2):
-            if not (
-                self.outer_lower[axis] <= self.inner_lower[axis] < self.inner_upper[axis] <= self.outer_upper[axis]
-            ):
-                raise ValueError(
-                    f"Overlap, axis {axis}: outer_lower <= inner_lower < inner_upper <= outer_upper is "
-                    f"needed, got {self.outer_lower[axis]!r}, {self.inner_lower[axis]!r}, "
-                    f"{self.inner_upper[axis]!r}, {self.outer_upper[axis]!r}"
-                )
-
-
-@dataclass(frozen=True)
 class Body:
     """Points of a body in its reference state.
 
@@ -153,15 +119,6 @@ def _on_line(name: str, value: float, origin: float, cell_size: float) -> int:
     return int(nearest)
 
 
-def _share_inside(
-    position: NDArray[np.float64], size: float, lower: Sequence[float], upper: Sequence[float]
-) -> NDArray[np.float64]:
-    """Share of each point's square domain that lies inside a rectangle."""
-    reach = 0.5 * size
-    covered = np.minimum(position + reach, np.asarray(upper)) - np.maximum(position - reach, np.asarray(lower))
-    return np.prod(np.clip(covered / size, 0.0, 1.0), axis=1)
-
-
 def _cell_counts(lower: Sequence[float], upper: Sequence[float], cell_size: float, points_per_cell: int) -> list[int]:
     """Check a box and return its numbers of cells."""
     if not (np.isfinite(cell_size) and cell_size > 0.0):
@@ -190,7 +147,6 @@ def _sub_cell_centres(
 
 def _body(
     position: NDArray[np.float64],
-    weight: NDArray[np.float64],
     cell_size: float,
     points_per_cell: int,
     start: NDArray[np.float64],
@@ -198,7 +154,7 @@ def _body(
 ) -> Body:
     return Body(
         np.ascontiguousarray(position),
-        weight,
+        np.ones(position.shape[0]),
         np.full(position.shape[0], 0.5 * cell_size / points_per_cell),
         float(cell_size),
         int(points_per_cell),
@@ -246,7 +202,7 @@ def fill_region(
     if not kept.any():
         raise ValueError("inside: is false everywhere, no material point is left")
     position = position[kept]
-    return _body(position, np.ones(position.shape[0]), cell_size, points_per_cell, start, cells)
+    return _body(position, cell_size, points_per_cell, start, cells)
 
 
 def fill_rectangle(
@@ -255,7 +211,6 @@ def fill_rectangle(
     cell_size: float,
     points_per_cell: int = 2,
     hole: Rectangle | None = None,
-    overlap: Overlap | None = None,
 ) -> Body:
     """Fill a rectangle with points at the centres of equal sub-cells.
 
@@ -269,10 +224,6 @@ def fill_rectangle(
         Points per cell and direction.
     hole : (lower, upper), optional
         Rectangle without points, on cell lines [m].
-    overlap : Overlap, optional
-        Ring of reduced weight. A point across a border of the ring has the mean weight of its domain: the ring
-        ends where the atoms do, which is on no cell line, and a gap of light continuum beyond the last atoms
-        would be soft.
 
     Returns
     -------
@@ -297,11 +248,4 @@ def fill_rectangle(
         position = position[~inside]
     if position.shape[0] == 0:
         raise ValueError("hole: covers the whole rectangle, no material point is left")
-    point_size = cell_size / points_per_cell
-    weight = np.ones(position.shape[0])
-    if overlap is not None:
-        shared = _share_inside(position, point_size, overlap.outer_lower, overlap.outer_upper) - _share_inside(
-            position, point_size, overlap.inner_lower, overlap.inner_upper
-        )
-        weight -= (1.0 - overlap.weight) * shared
-    return _body(position, weight, cell_size, points_per_cell, start, cells)
+    return _body(position, cell_size, points_per_cell, start, cells)

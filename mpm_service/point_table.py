@@ -26,6 +26,11 @@ class PointTable:
         `body.material` counts in it.
     thickness : float
         [m]; 1 in space.
+
+    Attributes
+    ----------
+    origin : (n,) ndarray of int
+        Point of the body, by its id, that each point is or is a piece of.
     """
 
     def __init__(self, body: Body, materials: Sequence[Material], thickness: float) -> None:
@@ -43,6 +48,7 @@ class PointTable:
         rows[:, c.mass] = volume * np.array([m.density for m in materials])[self.material]
         rows[:, c.half] = body.half
         self.points = Points(rows, np.arange(count), np.arange(count))
+        self.origin = np.arange(count)
         self.histories = [np.ascontiguousarray(m.start_history(count)) for m in self.materials]
 
     @property
@@ -63,6 +69,18 @@ class PointTable:
                 own = rows[mine]
                 material.update_stress(own, ids[mine], history)
                 rows[mine] = own
+
+    def tangent(self, rows: FloatArray, ids: IntArray) -> FloatArray:
+        """Ask the materials for the moduli of rows [Pa], (n, v, v); see `Material.tangent`."""
+        if len(self.materials) == 1:
+            return self.materials[0].tangent(rows, ids, self.histories[0])
+        kinds = self.material[ids]
+        components = self.columns.mass - self.columns.stress
+        found = np.empty((ids.size, components, components))
+        for number, (material, history) in enumerate(zip(self.materials, self.histories, strict=True)):
+            mine = np.flatnonzero(kinds == number)
+            found[mine] = material.tangent(np.ascontiguousarray(rows[mine]), ids[mine], history)
+        return found
 
     def by_material(self, function: str) -> FloatArray:
         """Ask the materials for a quantity of all points; the answer is ordered by id, (n,)."""
@@ -100,9 +118,46 @@ class PointTable:
         self.points = Points(rows, ids, row_of)
         self.reference = np.concatenate([self.reference, self.reference[born] + offset[:, 1:].reshape(-1, 2)])
         self.reference[owner] += offset[:, 0]
+        self.origin = np.concatenate([self.origin, self.origin[born]])
         self.weight = np.concatenate([self.weight, self.weight[born]])
         self.material = np.concatenate([self.material, self.material[born]])
         self.histories = [np.concatenate([history, history[born]]) for history in self.histories]
+
+    def deform(self, displacement: FloatArray, gradient: FloatArray) -> None:
+        """Put each point, by id, at its reference place plus a displacement (n, d) [m] with ``F - I`` (n, d, d)."""
+        rows, _, row_of = self.points
+        c = self.columns
+        rows[row_of, : c.dimension] = self.reference + displacement
+        rows[row_of, c.gradient : c.stress] = gradient.reshape(self.count, -1)
+        self.update_stress(slice(None))
+
+    def take(self, other: PointTable, matching: IntArray, weight: FloatArray) -> None:
+        """Take place, deformation, stress and history of points of another table, and the pieces they are in now.
+
+        Parameters
+        ----------
+        other : PointTable
+            Of full weight.
+        matching : (n,) ndarray of int
+            Point of its body that is the same material as each point of this one's body.
+        weight : (n,) ndarray
+            Share of mass and stiffness of each point of this one's body.
+        """
+        mine = np.full(int(other.origin.max()) + 1, -1, dtype=np.int64)
+        mine[matching] = np.arange(matching.size)
+        pieces = np.setdiff1d(np.flatnonzero(mine[other.origin] >= 0), matching)
+        ids = np.concatenate([matching, pieces])
+        c = self.columns
+        self.origin = mine[other.origin[ids]]
+        self.weight = weight[self.origin]
+        self.reference = other.reference[ids]
+        self.material = other.material[ids]
+        self.histories = [history[ids] for history in other.histories]
+        rows = other.points.rows[other.points.row_of[ids]]
+        rows[:, [c.mass, c.volume]] *= self.weight[:, None]
+        rows[:, c.velocity : c.gradient] = 0.0
+        rows[:, c.increment : c.increment + c.dimension] = 0.0
+        self.points = Points(np.ascontiguousarray(rows), np.arange(ids.size), np.arange(ids.size))
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Everything of the points that changes, as copies."""
@@ -110,6 +165,7 @@ class PointTable:
             "rows": self.points.rows.copy(),
             "ids": self.points.ids.copy(),
             "reference": self.reference.copy(),
+            "point_origin": self.origin.copy(),
             "point_weight": self.weight.copy(),
             "point_material": self.material.copy(),
         }
@@ -122,6 +178,7 @@ class PointTable:
         row_of[ids] = np.arange(ids.size)
         self.points = Points(np.array(state["rows"], dtype=np.float64), ids, row_of)
         self.reference = np.array(state["reference"], dtype=np.float64)
+        self.origin = np.array(state["point_origin"], dtype=np.int64)
         self.weight = np.array(state["point_weight"], dtype=np.float64)
         self.material = np.array(state["point_material"], dtype=np.int64)
         self.histories = [np.array(state[f"history_{k}"], dtype=np.float64) for k in range(len(self.materials))]

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from mpm_service.conditions import EdgeCondition, symmetry
+from mpm_service.conditions import Approach, EdgeCondition, FieldCondition, symmetry
 from mpm_service.crack_line import Crack
 from mpm_service.crack_reports import growth_law
 from mpm_service.damping import Damping
@@ -19,9 +19,11 @@ from mpm_service.grid import Grid
 from mpm_service.hierarchy import HierarchicalGrid
 from mpm_service.hierarchy_filling import fill_hierarchy
 from mpm_service.hyperelastic import NeoHookean
+from mpm_service.k_field import CrackTipField
 from mpm_service.loads import AbsorbingEdge, BodyForce, Load, Traction
 from mpm_service.material import Material
-from mpm_service.material_points import Body, Overlap, fill_rectangle
+from mpm_service.material_points import Body, fill_rectangle
+from mpm_service.overlap import Overlap, OverlapError, cut_overlaps
 from mpm_service.plasticity import J2Plasticity
 from mpm_service.scheme import Scheme
 from mpm_service.solver import MaterialPointSolver
@@ -41,8 +43,6 @@ CONFIGURE_NAMES = {
     "lower": "body",
     "upper": "body",
     "grid": "body",
-    "hole": "overlap",
-    "Overlap": "overlap",
     "edge_conditions": "edges",
     "EdgeCondition": "edges",
     "loads": "edges",
@@ -73,35 +73,45 @@ class Edges:
         Of the request.
     thickness : float
         [m].
-    size : (2,) sequence of float
-        Extent of the body [m].
+    lower, upper : (2,) sequence of float
+        Corners of the body [m].
     frozen : bool
-        Everything stays as it is at time zero.
+        Everything stays as it is at time zero, and absorbing edges, which bear no load, are left out.
     material : Material, optional
-        What absorbing edges are matched to.
+        What absorbing edges are matched to and crack-tip fields belong to.
+
+    Raises
+    ------
+    ProtocolError
+        `bad_field`, where a crack-tip field does not fit the material.
     """
 
     def __init__(
         self,
         edges: list[messages.AnyEdge],
         thickness: float,
-        size: Sequence[float] | FloatArray,
+        lower: Sequence[float] | FloatArray,
+        upper: Sequence[float] | FloatArray,
         *,
         frozen: bool,
         material: Material | None = None,
     ) -> None:
-        self.conditions: list[EdgeCondition] = []
+        size = np.subtract(upper, lower)
+        self.conditions: list[EdgeCondition | FieldCondition] = []
         self.loads: list[Load] = []
         #: Row of the condition, or None, and nominal force over time, or None, of each entry.
         self._entries: list[tuple[int | None, tuple[float, Constant | Table] | None]] = []
-        for edge in edges:
+        #: Mean normal displacement of a face by a field at a factor of 1 [m], by condition.
+        self._mean: dict[int, float] = {}
+        for number, edge in enumerate(edges):
             condition, nominal = None, None
             axis = 0 if edge.edge in ("left", "right") else 1
             outward = 1.0 if edge.edge in ("right", "top") else -1.0
             area = thickness * size[1 - axis]
             if isinstance(edge, messages.EdgeAbsorbing):
                 assert material is not None
-                self.loads.append(_absorbing(edge.edge, axis, material))
+                if not frozen:
+                    self.loads.append(_absorbing(edge.edge, axis, material))
             elif isinstance(edge, messages.EdgeTraction):
                 function = _over_time(edge.times, edge.tractions, frozen)
                 vector = np.zeros(2)
@@ -114,22 +124,61 @@ class Edges:
                 vector[axis] = -outward
                 self.loads.append(Traction(edge.edge, vector, function, follower=True))
                 nominal = (-outward * area, function)
+            elif isinstance(edge, messages.EdgeKField):
+                assert material is not None
+                field = crack_tip_field(edge.field, material, f"edges.{number}.field")
+                factor = _over_time(edge.times, edge.factors, frozen)
+                condition = len(self.conditions) + axis
+                self.conditions += [FieldCondition(edge.edge, component, field, factor) for component in (0, 1)]
+                moved = self.conditions[condition]
+                assert isinstance(moved, FieldCondition)
+                self._mean[condition] = float(moved.along_face(lower, upper).mean())
             else:
                 condition = len(self.conditions)
                 self.conditions.append(_condition(edge, frozen))
             self._entries.append((condition, nominal))
 
+    def farthest(self, lower: Sequence[float], upper: Sequence[float]) -> float:
+        """Return the largest displacement by a field at any time [m]."""
+        fields = [c for c in self.conditions if isinstance(c, FieldCondition)]
+        most = (
+            np.abs(c.along_face(lower, upper)).max() * np.abs(getattr(c.factor, "values", c.factor(np.zeros(1)))).max()
+            for c in fields
+        )
+        return float(max(most, default=0.0))
+
     def state(self, reaction: FloatArray, time: float) -> tuple[FloatArray, FloatArray]:
-        """Return force on the body [N] and prescribed displacement [m] of each entry."""
+        """Return force on the body [N] and prescribed displacement [m] of each entry.
+
+        Of a face that follows a crack-tip field these are normal force and mean normal displacement.
+        """
         now = np.array([time])
         force, displacement = np.zeros(len(self._entries)), np.zeros(len(self._entries))
         for k, (row, nominal) in enumerate(self._entries):
             if row is not None:
                 force[k] = reaction[row]
-                displacement[k] = self.conditions[row].displacement(now)[0]
+                condition = self.conditions[row]
+                if isinstance(condition, FieldCondition):
+                    displacement[k] = self._mean[row] * condition.factor(now)[0]
+                else:
+                    displacement[k] = condition.displacement(now)[0]
             elif nominal is not None:
                 force[k] = nominal[0] * nominal[1](now)[0]
         return force, displacement
+
+
+def crack_tip_field(field: messages.KField, material: Material, name: str) -> CrackTipField:
+    """Return the field of a message in a material.
+
+    Raises
+    ------
+    ProtocolError
+        `bad_field`, where the law of the material is not isotropic.
+    """
+    try:
+        return CrackTipField.in_material(material, field.tip, field.k_1, field.k_2, field.angle)
+    except ValueError as error:
+        raise ProtocolError("bad_field", f"{name}: {error}", field=name) from None
 
 
 def _over_time(times: list[float], values: list[float], frozen: bool) -> Constant | Table:
@@ -182,26 +231,32 @@ def make_material(request: messages.ContinuumConfigure) -> Material:
 
 
 def make_solver(
-    request: messages.ContinuumConfigure, material: Material, make: SolverMaker, frozen: bool = False
+    request: messages.ContinuumConfigure, material: Material, make: SolverMaker, start: Approach | None = None
 ) -> tuple[MaterialPointSolver, Edges]:
-    """Return the solver of a problem and its edges; frozen, loads and edges stay at their values of time zero.
+    """Return the solver of a problem and its edges.
+
+    With an approach it is the solver of the preload: of the whole body, without holes and with full weight, its loads
+    and edges at their values of time zero.
 
     Raises
     ------
     ValueError
         Where the solver refuses something; the message begins with its name.
     """
-    size = np.subtract(request.body.upper, request.body.lower)
-    edges = Edges(request.edges, request.thickness, size, frozen=frozen, material=material)
+    frozen = start is not None
+    edges = Edges(
+        request.edges, request.thickness, request.body.lower, request.body.upper, frozen=frozen, material=material
+    )
     loads = list(edges.loads)
     if request.body_force is not None:
         force = request.body_force
         loads.append(BodyForce(force.acceleration, _over_time(force.times, force.factors, frozen)))
     gradient = request.initial_velocity_gradient
-    grid, body = _fill(request, size)
+    grid, body = _fill(request, edges)
+    further = {"approach": start} if frozen else {}
     solver = make(
         grid,
-        body,
+        body if frozen else _cut(request, body),
         material,
         request.thickness,
         request.time_step,
@@ -211,29 +266,54 @@ def make_solver(
         initial_velocity_gradient=None if gradient is None or frozen else np.reshape(gradient, (2, 2)),
         scheme=Scheme(**request.scheme.model_dump()),
         loads=loads,
+        **further,
     )
     return solver, edges
 
 
-def _fill(request: messages.ContinuumConfigure, size: FloatArray) -> tuple[Grid | HierarchicalGrid, Body]:
-    """Return the grid, with room for the motion of its edges, and the points."""
+def _fill(request: messages.ContinuumConfigure, edges: Edges) -> tuple[Grid | HierarchicalGrid, Body]:
+    """Return the grid, with room for the motion of its edges, and the points of the whole body."""
+    lower, upper = request.body.lower, request.body.upper
+    size = np.subtract(upper, lower)
     moves = [abs(value) for edge in request.edges for value in getattr(edge, "displacements", ())]
+    moves += [edges.farthest(lower, upper)]
     margin = MARGIN_CELLS + int(np.ceil(max(moves, default=0.0) / request.cell_size))
     cells = np.round(size / request.cell_size).astype(int) + 2 * margin
     origin = np.asarray(request.body.lower) - margin * request.cell_size
     uniform = Grid(tuple(origin), request.cell_size, (int(cells[0]), int(cells[1])))
-    given = request.overlap
-    ring = (
-        Overlap(given.inner.lower, given.inner.upper, given.outer.lower, given.outer.upper, given.weight)
-        if given
-        else None
-    )
-    hole = (given.inner.lower, given.inner.upper) if given else None
-    lower, upper = request.body.lower, request.body.upper
     if not request.refinement:
-        return uniform, fill_rectangle(lower, upper, request.cell_size, request.points_per_cell, hole, ring)
+        return uniform, fill_rectangle(lower, upper, request.cell_size, request.points_per_cell)
     nested = HierarchicalGrid(uniform, [(level.lower, level.upper) for level in request.refinement])
-    return nested, fill_hierarchy(nested, lower, upper, request.points_per_cell, hole, ring)
+    return nested, fill_hierarchy(nested, lower, upper, request.points_per_cell)
+
+
+def _cut(request: messages.ContinuumConfigure, body: Body) -> Body:
+    """Return the body with the overlaps of a request.
+
+    Raises
+    ------
+    ProtocolError
+        `bad_field`, where there can be no such overlap.
+    """
+    plain = request.overlap
+    names = ["overlap"] if plain else [f"overlaps.{k}" for k in range(len(request.overlaps))]
+    rings: list[Overlap] = []
+    try:
+        if plain:
+            inner, outer = plain.inner, plain.outer
+            rings.append(Overlap.between((inner.lower, inner.upper), (outer.lower, outer.upper), plain.weight))
+        for region in request.overlaps:
+            rings.append(Overlap(region.inner, region.outer, region.weight, region.profile, region.exponent))
+    except OverlapError as error:
+        raise _bad_overlap(error, names[len(rings)]) from None
+    try:
+        return cut_overlaps(body, rings)
+    except OverlapError as error:
+        raise _bad_overlap(error, names[error.number]) from None
+
+
+def _bad_overlap(error: OverlapError, name: str) -> ProtocolError:
+    return ProtocolError("bad_field", f"{name}: {error}", field=f"{name}.{error.part}")
 
 
 def levels_of(request: messages.ContinuumConfigure, solver: MaterialPointSolver) -> list[messages.GridLevel]:

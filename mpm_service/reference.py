@@ -155,9 +155,8 @@ class ReferenceSolver:
 
     def energies(self) -> Energies:
         """Energies now and work so far [J]."""
-        alive = self.points.alive
-        kinetic = 0.5 * float(self.points.mass[alive] @ np.sum(self.points.velocity[alive] ** 2, axis=1))
-        edge_work, interface_work, damping_loss = (float(value) for value in self._run.totals)
+        alive, kinetic = self.points.alive, self._run.kinetic_energy
+        edge_work, interface_work, damping_loss, unfiltered = (float(value) for value in self._run.totals)
         return Energies(
             kinetic,
             float(np.sum(self.points.strain_energy[alive])),
@@ -167,7 +166,14 @@ class ReferenceSolver:
             damping_loss,
             0.0,
             float(np.sum(self._table.by_material("dissipated"))),
+            unfiltered - kinetic,
         )
+
+    @property
+    def momentum(self) -> FloatArray:
+        """Of the points [kg m/s], (d,)."""
+        alive = self.points.alive
+        return np.asarray(self.points.mass[alive] @ self.points.velocity[alive])
 
     def set_velocity(self, velocity: ArrayLike) -> None:
         """Set the velocity of each point [m/s], (n, d), by id."""
@@ -176,6 +182,7 @@ class ReferenceSolver:
         self._table.points.rows[rows, first : first + count] = checked_array(
             "velocity", velocity, self.body.position.shape
         )
+        self._run.totals[-1] = self._run.kinetic_energy
 
     # ---- coupling ----------------------------------------------------------------------------------
 

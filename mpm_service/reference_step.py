@@ -64,8 +64,9 @@ class ReferenceStep:
         How many live.
     travel : float
         Upper bound of any point's way since lost points were last looked for [m].
-    totals : (3,) ndarray
-        Work of edges, work of interface forces, loss by damping since step 0 [J].
+    totals : (4,) ndarray
+        Work of edges, work of interface forces, loss by damping since step 0, and the kinetic energy that the points
+        would have, had none been lost on the way to the nodes and back [J].
     reaction : (k,) ndarray
         Force of each edge condition on the body in the last step [N].
     anchor, anchor_displacement, anchor_velocity : (n, d) ndarray
@@ -95,7 +96,7 @@ class ReferenceStep:
         self._least_mass = EMPTY * densest * grid.cell_size**d * thickness
         self.alive = body.count
         self.travel = 0.0
-        self.totals = np.zeros(3)
+        self.totals = np.zeros(4)
         self.reaction = np.zeros(len(edges))
         self.place_anchors(np.zeros((0, d)))
 
@@ -149,6 +150,9 @@ class ReferenceStep:
         self.reaction, work = self.reaction / factor, work / factor
         new = self.cracks.press(nodes.mass, free, dt)
         increment += new - free
+        gain = float(np.sum(nodes.mass[:, None] * increment * (new - 0.5 * increment)))
+        halfway = 0.5 * (new / keep + new - increment)  # forces do their work with the mean of old and undamped new
+        pushed = dt * float(np.sum(push * (nodes.shape @ halfway)) + np.sum(pull * (reader @ halfway)))
 
         carrier = new  # the nodal velocity that moves points and anchors
         filters = scheme.filters(number)
@@ -163,7 +167,6 @@ class ReferenceStep:
         self._stop_runaway(number, moved)
         self.anchor_velocity = reader @ carrier
         self.anchor_displacement = self.anchor_displacement + dt * self.anchor_velocity
-        pushed = float(np.sum(push * moved) + dt * np.sum(pull * self.anchor_velocity))
 
         if scheme.integration == "usl":
             self._deform(nodes, carrier, dt)
@@ -175,9 +178,9 @@ class ReferenceStep:
         position += moved
         self._part("increment")[:] = moved
         left = self.damping.point_factor(dt)
-        loss += 0.5 * (1.0 - left**2) * float(self._column("mass") @ np.sum(velocity**2, axis=1))
+        lost = (1.0 - left**2) * self.kinetic_energy
         velocity *= left
-        self.totals += work, pushed, loss
+        self.totals += work, pushed, loss + lost, gain - lost
         self.travel += float(np.max(np.abs(moved), initial=0.0))
 
     # ---- between points and nodes ------------------------------------------------------------------
@@ -275,6 +278,11 @@ class ReferenceStep:
         speed = np.diff(way, axis=1) / self.time_step
         return speed[:, 0], speed[:, 1], np.array(place) / self.grid.cell_size
 
+    @property
+    def kinetic_energy(self) -> float:
+        """Of the living points [J]."""
+        return 0.5 * float(self._column("mass") @ np.sum(self._part("velocity") ** 2, axis=1))
+
     def positions_by_id(self) -> FloatArray:
         """Positions of all points [m], (n, d)."""
         return self.table.points.rows[self.table.points.row_of, : self._dimension]
@@ -298,8 +306,10 @@ class ReferenceStep:
         inside = np.all((xi >= 1.0) & (xi < np.asarray(self.grid.cells) - 1.0), axis=1)
         rows, ids, _ = self.table.points
         order = np.concatenate([np.flatnonzero(inside), np.flatnonzero(~inside), np.arange(self.alive, ids.size)])
+        before = self.kinetic_energy
         self.table.points = Points(rows[order], ids[order], np.argsort(ids[order]))
         self.alive = int(inside.sum())
+        self.totals[-1] += self.kinetic_energy - before
         self.travel = 0.0
 
     def _stop_runaway(self, number: int, moved: FloatArray) -> None:

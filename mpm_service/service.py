@@ -58,6 +58,7 @@ class MaterialPointService(Service):
     edge_kinds: ClassVar[list[str]] = ["displacement", "velocity", "symmetry", "traction", "pressure", "absorbing"]
     contacts: ClassVar[list[str]] = ["frictionless", "stick", "coulomb"]
     growth_rules: ClassVar[list[str]] = list(RULES)
+    operations: ClassVar[list[str]] = ["extend_crack"]
     most_levels: ClassVar[int] = MOST_LEVELS
     most_cracks: ClassVar[int] = MOST_CRACKS
     kinks: ClassVar[bool] = True
@@ -91,6 +92,7 @@ class MaterialPointService(Service):
             "body_force": self.loads,
             "preload": self.loads,
             "spread": ["ivc", "anchor"],
+            "operations": self.operations,
         }
 
     def _unsupported(self, request: messages.ContinuumConfigure) -> Iterator[tuple[str, str]]:
@@ -126,7 +128,7 @@ class MaterialPointService(Service):
         material = make_material(request)
         try:
             solver, edges = make_solver(request, material, type(self).solver)
-            cracks = CrackReports(solver, request.cracks)
+            cracks = CrackReports(solver, request)
             relaxation = self._preload(request, material, solver) if request.preload else None
         except SolverError as error:
             raise ProtocolError("solver_failed", f"preload: {error}", step=error.step) from error
@@ -203,7 +205,7 @@ class MaterialPointService(Service):
         except (SolverError, ValueError) as error:
             # The request was checked before, so what is wrong now came up on the way.
             raise ProtocolError("solver_failed", str(error), step=solver.step) from error
-        energies = solver.energies()
+        energies, momentum = solver.energies(), solver.momentum
         force, displacement = self._edges.state(solver.edge_reaction, solver.time)
         return messages.ContinuumAdvanced(
             step=solver.step,
@@ -218,10 +220,23 @@ class MaterialPointService(Service):
             damping_loss=energies.damping_loss,
             load_work=energies.load_work,
             dissipated_energy=energies.dissipated + energies.friction_loss,
+            filter_loss=energies.filter_loss,
+            momentum=(float(momentum[0]), float(momentum[1])),
             points_lost=solver.points_lost,
             tips=cracks.tips(),
             events=events,
         )
+
+    def extend_crack(self, request: messages.CrackExtension) -> messages.CrackExtended:
+        """Let a crack go on along given corners from the next step on."""
+        if "extend_crack" not in self.operations:
+            raise ProtocolError("unsupported", f"the backend {self.backend} does not extend cracks")
+        self._configured()
+        assert self._cracks is not None
+        try:
+            return self._cracks.extend(request)
+        except ValueError as error:
+            raise bad_field(error, {}) from None
 
     def _force(self, name: str, force: FloatArray | None, rows: int) -> FloatArray | None:
         """Return x and y of a force of as many rows as were registered."""
@@ -296,6 +311,7 @@ class ReferenceService(MaterialPointService):
     edge_kinds: ClassVar[list[str]] = ["displacement", "velocity", "symmetry"]
     contacts: ClassVar[list[str]] = ["frictionless"]
     growth_rules: ClassVar[list[str]] = []
+    operations: ClassVar[list[str]] = []
     most_levels = 1
     most_cracks = 1
     kinks = False

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from .applied_loads import AppliedLoads
 from .boundary_set import BoundarySet
-from .conditions import EdgeCondition, NodeCondition
+from .conditions import Approach, EdgeCondition, FieldCondition, NodeCondition
 from .crack_line import Crack
 from .cracks import CrackSet
 from .damping import Damping, ForceBalance
@@ -30,6 +31,7 @@ from .point_view import PointView
 from .scheme import Scheme
 from .set_up import check_cells, check_set_up, checked_array, largest_time_step
 from .splitting import find_oversized, split_points
+from .static_solution import Equilibrium, StaticSolution
 from .time_integration import Nodes, TimeIntegration
 
 FloatArray = NDArray[np.float64]
@@ -48,13 +50,15 @@ class Energies:
     edge_work : float
         Done on the body by boundary conditions since step 0.
     interface_work : float
-        Done by IVC and anchor forces, force times displacement of what it acts on.
+        Done by IVC and anchor forces.
     load_work : float
         Done by tractions, body forces and absorbing edges (these: negative).
     damping_loss, friction_loss : float
         Taken out by damping and by crack faces that rub.
     dissipated : float
         By the materials.
+    filter_loss : float
+        Kinetic energy that was lost on the way from points to nodes and back; the balance is in `time_integration`.
     """
 
     kinetic: float
@@ -65,6 +69,7 @@ class Energies:
     damping_loss: float
     friction_loss: float
     dissipated: float
+    filter_loss: float
 
 
 class MaterialPointSolver:
@@ -82,7 +87,7 @@ class MaterialPointSolver:
         Thickness of a plane body [m]; 1 in space.
     time_step : float
         [s], at most ``stable_time_step``.
-    edge_conditions : sequence of EdgeCondition or NodeCondition
+    edge_conditions : sequence of EdgeCondition, FieldCondition or NodeCondition
         Prescribed motion of faces and nodes.
     cracks : sequence of Crack
         Plane bodies only.
@@ -99,6 +104,8 @@ class MaterialPointSolver:
         Velocity of each point at step 0 [m/s].
     threads : int
         Threads for the sweeps over the points.
+    approach : Approach, optional
+        Faces go to where they are to be at time 0 and stay there: for a solver that brings a body to rest.
 
     Raises
     ------
@@ -118,7 +125,7 @@ class MaterialPointSolver:
         material: Material | Sequence[Material],
         thickness: float,
         time_step: float,
-        edge_conditions: Sequence[EdgeCondition | NodeCondition] = (),
+        edge_conditions: Sequence[EdgeCondition | FieldCondition | NodeCondition] = (),
         cracks: Sequence[Crack] = (),
         damping: Damping | float = 0.0,
         initial_velocity_gradient: ArrayLike | None = None,
@@ -127,6 +134,7 @@ class MaterialPointSolver:
         loads: Sequence[Load] = (),
         initial_velocity: ArrayLike | None = None,
         threads: int = 1,
+        approach: Approach | None = None,
     ) -> None:
         self.scheme = scheme or Scheme()
         self.grid = grid
@@ -165,6 +173,7 @@ class MaterialPointSolver:
             initial_velocity_gradient is not None,
             refined,
             self.scheme.interpolation == "bspline",
+            approach,
         )
         self._balance = ForceBalance()
         self._cells = CellForces(self._mapping, [])
@@ -186,6 +195,7 @@ class MaterialPointSolver:
         self._step = 0
         self._set_loads()
         self.points = PointView(self._table, lambda: self._mapping.alive)
+        self._integration.totals.unfiltered = self.kinetic_energy
         self._sort()
 
     # ---- what a run can ask ----------------------------------------------------------------------------
@@ -253,6 +263,13 @@ class MaterialPointSolver:
         return 0.5 * float(np.sum(rows[:, c.mass] * np.einsum("ij,ij->i", velocity, velocity)))
 
     @property
+    def momentum(self) -> FloatArray:
+        """Of the points [kg m/s], (d,)."""
+        c = self._table.columns
+        rows = self._table.points.rows[: self._mapping.alive]
+        return np.asarray(rows[:, c.mass] @ rows[:, c.velocity : c.gradient])
+
+    @property
     def residual(self) -> float:
         """Out-of-balance force of the last step over the largest force at work; see ``damping.ForceBalance``.
 
@@ -264,8 +281,9 @@ class MaterialPointSolver:
     def energies(self) -> Energies:
         """Energies now and work so far [J]."""
         totals = self._integration.totals
+        kinetic = self.kinetic_energy
         return Energies(
-            self.kinetic_energy,
+            kinetic,
             float(np.sum(self._table.by_material("strain_energy")[self.points.alive])),
             totals.edge_work,
             self._cells.work + self._anchors.work,
@@ -273,23 +291,117 @@ class MaterialPointSolver:
             totals.damping_loss,
             totals.friction_loss,
             float(np.sum(self._table.by_material("dissipated"))),
+            totals.unfiltered - kinetic,
         )
 
     def stop(self) -> None:
         """Set the velocities of all points to zero."""
-        c = self._table.columns
-        self._table.points.rows[:, c.velocity : c.gradient] = 0.0
+        self._set_velocity(0.0)
         self._integration.at_rest = True
 
     def set_velocity(self, velocity: ArrayLike) -> None:
         """Set the velocity of each point [m/s], (n, d), by id."""
         c = self._table.columns
         values = checked_array("velocity", velocity, (self._table.count, c.dimension))
-        self._table.points.rows[self._table.points.row_of, c.velocity : c.gradient] = values
+        self._set_velocity(values[self._table.points.ids])
+
+    def _set_velocity(self, velocity: FloatArray | float) -> None:
+        """Set the velocities of the rows [m/s]; what that changes of the kinetic energy is no loss of the filter."""
+        c = self._table.columns
+        before = self.kinetic_energy
+        self._table.points.rows[:, c.velocity : c.gradient] = velocity
+        self._integration.totals.unfiltered += self.kinetic_energy - before
+
+    def deform(self, displacement: ArrayLike, gradient: ArrayLike) -> None:
+        """Give each point, by id, a displacement and ``F - I``, and the stress of it, before the first step.
+
+        Parameters
+        ----------
+        displacement : (n, d) array_like
+            [m]
+        gradient : (n, d, d) array_like
+
+        Raises
+        ------
+        ValueError
+            If steps have been made already, a shape is wrong or a value not finite.
+        """
+        self._only_at_start("deform")
+        shape = (self._table.count, self.body.dimension)
+        moved = checked_array("displacement", displacement, shape)
+        self._table.deform(moved, checked_array("gradient", gradient, (*shape, shape[1])))
+        self._settle()
+
+    def start_from(self, other: MaterialPointSolver) -> None:
+        """Take displacement, deformation, stress and history of a solver alike whose body may hold more points.
+
+        Velocities are set to zero. Points that were split there are here too.
+
+        Raises
+        ------
+        ValueError
+            If steps have been made already, a point of this body is none of the other, or points were lost there.
+        """
+        self._only_at_start("start_from")
+        distance, found = cKDTree(other.body.position).query(self.body.position)
+        if not np.all(distance < 1e-9 * self._smallest_cell):
+            raise ValueError("start_from: the other solver has no point where this one has")
+        if other.points_lost:
+            raise ValueError(f"start_from: {other.points_lost} points of the other solver have left its grid")
+        self._table.take(other._table, found, self.body.weight)
+        self._mapping.points = self._table.points
+        self._mapping.alive = self._table.count
+        if self.cracks is not None:
+            self.cracks.set_points(self._table.reference)
+        if self._applied is not None:
+            self._applied.set_points(self._table.reference)
+        self._settle()
+
+    def equilibrate(
+        self, tolerance: float, max_steps: int, told: Callable[[int], None] = lambda _: None
+    ) -> Equilibrium:
+        """Bring the body to rest under the loads of time 0, its faces where they are to be then, by statics.
+
+        Anchors ride along. The points are where they then are; see `static_solution`.
+
+        Parameters
+        ----------
+        tolerance : float
+            Residual to reach.
+        max_steps : int
+            Iterations after which to end without it.
+        told : callable
+            Is told the iterations made.
+
+        Raises
+        ------
+        ValueError
+            If steps have been made already, or a material has no tangent.
+        SolverError
+            If nothing holds the body, a point leaves the grid or its material has no stress for its deformation.
+        """
+        self._only_at_start("equilibrate")
+        solution = StaticSolution(self._integration, self._table, self._anchors, self._sort)
+        try:
+            return solution.solve(tolerance, max_steps, told)
+        except NotImplementedError as error:
+            raise ValueError(f"material: {error}; dynamic relaxation needs none") from None
+        except MaterialError as error:
+            place = tuple(self.points.position[error.point].tolist())
+            raise SolverError(f"statics: {error}", 0, error.point, place) from error
+
+    def _settle(self) -> None:
+        """Bring cracks and the order of the points up to their new places."""
+        if self.cracks is not None:
+            points = self._table.points
+            self.cracks.move(points.rows, points.row_of)
+            self.cracks.follow()
+        self._sort()
+        self._integration.totals.unfiltered = self.kinetic_energy
 
     # ---- coupling --------------------------------------------------------------------------------------
 
-    def register_anchors(self, position: ArrayLike, ivc: ArrayLike) -> None:
+    def register_anchors(self, position: ArrayLike, ivc: ArrayLike, displacement: ArrayLike | None = None) -> None:
         """Place massless anchors before the first step.
 
         Parameters
@@ -298,6 +410,8 @@ class MaterialPointSolver:
             Reference positions [m].
         ivc : (n,) array_like of int
             Interface volume cell of each anchor, from 0.
+        displacement : (n, d) array_like, optional
+            That the anchors have already, as the body around them has [m]; none if not given.
 
         Raises
         ------
@@ -317,7 +431,8 @@ class MaterialPointSolver:
             raise ValueError(f"ivc[{int(cell.argmin())}] = {int(cell.min())}: must not be negative")
         if self._cells.cells:
             check_cells(cell, self._cells.cells)
-        anchors = Anchors(place, cell, self._mapping, self.cracks)
+        moved = None if displacement is None else checked_array("displacement", displacement, place.shape)
+        anchors = Anchors(place, cell, self._mapping, self.cracks, moved)
         self._integration.gather_mass()
         lonely = np.flatnonzero(anchors.weigh(self._integration.nodes.momentum) == 0.0)
         if lonely.size:
@@ -393,6 +508,26 @@ class MaterialPointSolver:
         for _ in range(int(steps)):
             self._advance_one()
 
+    def extend_crack(self, crack: int, end: int, points: ArrayLike) -> None:
+        """Let a crack go on along given corners from the next step on, whatever its growth law says.
+
+        Parameters
+        ----------
+        crack, end : int
+            Number of the crack, and its end: 0 or 1, inside the body, holes included, and not on another crack.
+        points : (k, 2) array_like
+            Corners in the reference state [m]; the last is the new end.
+
+        Raises
+        ------
+        ValueError
+            If there is no such end, a corner lies outside the body, or the line would meet another crack or itself;
+            the message begins with ``crack``, ``end`` or ``points``.
+        """
+        if self.cracks is None:
+            raise ValueError(f"crack = {crack!r}: the body has no cracks")
+        self.cracks.lengthen(crack, end, points, (self.body.lower, self.body.upper))
+
     def _advance_one(self) -> None:
         run = self._integration
         try:
@@ -411,7 +546,10 @@ class MaterialPointSolver:
     def _sort(self) -> None:
         """Drop lost points, split those that have entered finer cells, sort."""
         mapping = self._mapping
+        before = mapping.alive, self.kinetic_energy
         mapping.drop_lost()
+        if mapping.alive < before[0]:
+            self._integration.totals.unfiltered += self.kinetic_energy - before[1]
         if isinstance(self.grid, HierarchicalGrid):
             while True:
                 rows = self._table.points.rows
@@ -446,6 +584,7 @@ class MaterialPointSolver:
                     self._applied.work if self._applied else 0.0,
                     self._integration.residual,
                     float(self._integration.at_rest),
+                    totals.unfiltered,
                 ]
             ),
             "edge_reaction": self._integration.boundary.reaction.copy(),
@@ -495,6 +634,7 @@ class MaterialPointSolver:
             self._applied.work = values[5]
         self._integration.residual = values[6]
         self._integration.at_rest = bool(values[7])
+        totals.unfiltered = values[8]
         self._integration.boundary.reaction[:] = state["edge_reaction"]
         self._anchors.displacement[:] = state["anchor_displacement"]
         self._anchors.velocity[:] = state["anchor_velocity"]
@@ -540,6 +680,7 @@ class MaterialPointSolver:
     def _set_loads(self) -> None:
         applied = [self._applied] if self._applied else []
         self._integration.loads = [self._cells, self._anchors, *applied]
+        self._integration.rider = self._anchors
 
     def _configuration(self) -> FloatArray:
         grids = self.grid.grids if isinstance(self.grid, HierarchicalGrid) else (self.grid,)

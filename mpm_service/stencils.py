@@ -165,6 +165,17 @@ def add_forces(node: IntArray, weight: FloatArray, count: IntArray, force: Float
 
 
 @njit(cache=True, nogil=True)
+def power_of(node: IntArray, weight: FloatArray, count: IntArray, force: FloatArray, velocity: FloatArray) -> float:
+    """Power [W] of forces k on the nodes of stencils k."""
+    power = 0.0
+    for k in range(count.size):
+        for e in range(count[k]):
+            for a in range(force.shape[1]):
+                power += weight[k, e] * force[k, a] * velocity[node[k, e], a]
+    return power
+
+
+@njit(cache=True, nogil=True)
 def add_forces_of(stencils: Stencils, selected: IntArray, force: FloatArray, momentum: FloatArray) -> None:
     """Put force k [N] on the nodes of row ``selected[k]`` of a stencil table."""
     node = stencils.node
@@ -176,3 +187,17 @@ def add_forces_of(stencils: Stencils, selected: IntArray, force: FloatArray, mom
         for e in range(count[p]):
             for a in range(dim):
                 momentum[node[p, e], 1 + dim + a] += weight[p, e] * force[k, a]
+
+
+@njit(cache=True, nogil=True)
+def read_points(stencils: Stencils, selected: IntArray, velocity: FloatArray, out: FloatArray) -> None:
+    """Nodal velocities at row ``selected[k]`` of a stencil table, into row k of ``out``."""
+    node = stencils.node
+    weight = stencils.weight
+    count = stencils.entries
+    for k in range(selected.size):
+        p = selected[k]
+        for a in range(out.shape[1]):
+            out[k, a] = 0.0
+            for e in range(count[p]):
+                out[k, a] += weight[p, e] * velocity[node[p, e], a]

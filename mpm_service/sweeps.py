@@ -269,3 +269,17 @@ def scatter_point_forces(
             for i in range(len(sx)):
                 momentum[n + i, 3] += sx[i] * sy[j] * force[k, 0]
                 momentum[n + i, 4] += sx[i] * sy[j] * force[k, 1]
+
+
+@njit(**_OPTIONS)
+def read_points(rows: FloatArray, selected: Ranges, lattice: Lattice, velocity: FloatArray, out: FloatArray) -> None:
+    """Nodal velocities at the points of the rows `selected` (k,), into `out` (k, 2)."""
+    for k in range(selected.size):
+        corner, sx, sy, _, _ = _place(lattice, rows, selected[k])
+        out[k, 0] = 0.0
+        out[k, 1] = 0.0
+        for j in range(len(sy)):
+            n = corner + j * lattice.stride
+            for i in range(len(sx)):
+                out[k, 0] += sx[i] * sy[j] * velocity[n + i, 0]
+                out[k, 1] += sx[i] * sy[j] * velocity[n + i, 1]

@@ -75,16 +75,25 @@ class Totals:
     edge_work: float = 0.0
     damping_loss: float = 0.0
     friction_loss: float = 0.0
+    unfiltered: float = 0.0
+    """Kinetic energy that the points would have, had none been lost on the way to the nodes and back."""
 
 
 class NodalLoad(Protocol):
-    """A load that puts forces on nodes and learns from their new velocities."""
+    """A load that puts forces on nodes and books their work."""
 
     def add_forces(self, step: int, momentum: FloatArray) -> None:
         """Add forces [N] to the force columns."""
 
-    def follow(self, momentum: FloatArray, motion: FloatArray, time_step: float) -> None:
-        """Move along with the new velocities and book the work."""
+    def book(self, momentum: FloatArray, halfway: FloatArray, duration: float) -> None:
+        """Add the work of the forces on nodes that move with velocities (R, d) [m/s] for a time [s]."""
+
+
+class Rider(Protocol):
+    """What moves with the nodes."""
+
+    def follow(self, motion: FloatArray, time_step: float) -> None:
+        """Move with the velocities in the first columns of a table [m/s]."""
 
 
 @dataclass
@@ -110,6 +119,7 @@ class TimeIntegration:
     balance : ForceBalance
         Measures the residual of each step.
     loads : sequence of NodalLoad
+    rider : Rider or None
     """
 
     mapping: Mapping
@@ -123,6 +133,7 @@ class TimeIntegration:
     damping: Damping
     balance: ForceBalance
     loads: Sequence[NodalLoad] = ()
+    rider: Rider | None = None
     totals: Totals = field(default_factory=Totals)
     largest_increment: float = 0.0
     residual: float = np.inf
@@ -193,11 +204,13 @@ class TimeIntegration:
         active = mapping.active  # loads may reach further nodes
         node_kernels.drop_slivers(active, tables.momentum, self.least_mass)
         # Velocities lag half a step behind positions, so points that are started from rest take half an impulse.
-        share = self.damping.force_factor * (0.5 if self.at_rest else 1.0)
+        impulse = 0.5 if self.at_rest else 1.0
+        share = self.damping.force_factor * impulse
         self.at_rest = False
         if share != 1.0:
             scale_forces(active, tables.momentum, share)
         self._accelerate(active, share)
+        self._book(active, impulse * dt)
         if self.watches_balance:
             self.residual = self.balance.residual(tables.momentum, tables.motion, (active,), dt, share)
         keep = self._choose_transfer(number, active)
@@ -209,8 +222,8 @@ class TimeIntegration:
             self.largest_increment = mapping.update(tables.motion, keep, dt)
         if not self.largest_increment < mapping.smallest_cell:
             return
-        for load in self.loads:
-            load.follow(tables.momentum, tables.motion, dt)
+        if self.rider is not None:
+            self.rider.follow(tables.motion, dt)
         if scheme.integration in ("musl", "usavg"):
             node_kernels.divide(active, tables.momentum, 0, tables.velocity, tables.velocity)
             self._constrain(tables.velocity)
@@ -225,9 +238,9 @@ class TimeIntegration:
             self.cracks.move(mapping.points.rows, mapping.points.row_of)
         if self.damping.point_rate > 0.0:
             c = mapping.columns
-            self.totals.damping_loss += damp_points(
-                mapping.points.rows, mapping.alive, c.velocity, c.mass, self.damping.point_factor(dt)
-            )
+            lost = damp_points(mapping.points.rows, mapping.alive, c.velocity, c.mass, self.damping.point_factor(dt))
+            self.totals.damping_loss += lost
+            self.totals.unfiltered -= lost
         mapping.travel += self.largest_increment
 
     def _locate(self, number: int) -> None:
@@ -255,6 +268,14 @@ class TimeIntegration:
             self.totals.damping_loss += after * (1.0 / keep**2 - 1.0) - not_lost
         if self.cracks is not None:
             self.totals.friction_loss += self.cracks.hold(momentum, motion, dt, motion.shape[1] // 2)
+
+    def _book(self, active: IntArray, duration: float) -> None:
+        """Add what the nodes gained and the work of the loads; leaves velocities halfway in `filtered`."""
+        tables = self.nodes
+        keep = self.damping.grid_factor(self.time_step)
+        self.totals.unfiltered += node_kernels.halfway(active, tables.momentum, tables.motion, keep, tables.filtered)
+        for load in self.loads:
+            load.book(tables.momentum, tables.filtered, duration)
 
     def _choose_transfer(self, number: int, active: IntArray) -> float:
         """Turn new velocity and increment into what moves the points and what becomes of their velocity.

@@ -160,6 +160,11 @@ class AtomisticRegister(Message):
     anchor_kind: Annotated[IntArray, ArraySpec("<i8", ("anchors",))] | None = Field(
         default=None, description="0 spring, 1 passive, 2 surface; absent: all springs", json_schema_extra=since(1, 2)
     )
+    damping_share: Annotated[FloatArray, ArraySpec("<f8", ("anchors",))] | None = Field(
+        default=None,
+        description="factor on the damper of each anchor, above 0 and at most 1; absent: 1",
+        json_schema_extra=since(1, 3),
+    )
     motion: Literal["held", "linear"] = Field(
         default="held",
         description="of the anchors during `advance`: they stand still, or go on with their velocity",
@@ -171,6 +176,9 @@ class AtomisticRegister(Message):
         check_indices("anchor_ivc", self.anchor_ivc, None)
         if self.anchor_kind is not None:
             check_indices("anchor_kind", self.anchor_kind, SURFACE + 1)
+        share = self.damping_share
+        if share is not None and not ((share > 0) & (share <= 1)).all():
+            raise wrong("damping_share", f"holds {share.min():g} to {share.max():g}; allowed is above 0 to 1")
         if (self.stiffness < 0).any():
             raise wrong("stiffness", f"holds {self.stiffness.min():g}; a stiffness is not negative")
         if len(np.unique(self.atom_id)) != len(self.atom_id):
@@ -226,6 +234,11 @@ class Equilibrated(Message):
     )
     window_ivc_deviation: Annotated[FloatArray, ArraySpec("<f8", ("ivcs", 3), "N")] = Field(
         description="standard deviation of one window's mean"
+    )
+    reference_anchor_force: Annotated[FloatArray, ArraySpec("<f8", ("anchors", 3), "N")] | None = Field(
+        default=None,
+        description="mean force on the continuum at each anchor; `advance` subtracts it; absent: not known",
+        json_schema_extra=since(1, 3),
     )
     temperature: float = Field(description="[K] mean over the reference windows, all atoms")
     steps_done: Natural | None = Field(

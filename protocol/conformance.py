@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from protocol.conformance_atomistic import AtomisticChecks
+from protocol.conformance_cracks import CrackChecks
 from protocol.conformance_kit import Check
 from protocol.conformance_wire import WireChecks
 from protocol.malformed_messages import malformed_messages
@@ -47,7 +48,7 @@ def check_service(
     return kit.checks
 
 
-class Kit(WireChecks, AtomisticChecks):
+class Kit(WireChecks, AtomisticChecks, CrackChecks):
     """One pass over one service; see `check_service`."""
 
     def run(self, shutdown: bool) -> None:
@@ -82,6 +83,7 @@ class Kit(WireChecks, AtomisticChecks):
         self._check("restore: a state that does not fit is refused", self._wrong_states)
         self._kinds(problem)
         self._atomistic(problem)
+        self._cracks(problem)
         self._wrong_fields(problem)
         self._check("control: status while the solver computes, and abort", lambda: self._status_and_abort(problem))
         self._check("state failed: only configure helps", lambda: self._failed(problem))

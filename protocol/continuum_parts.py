@@ -67,7 +67,7 @@ class OverlapRegion(Part):
     No continuum is modelled inside `inner`. In the ring, stiffness and mass of the continuum are both scaled by
     a weight: `constant` is `weight` everywhere; the others go from `weight` at `inner` to 1 at `outer`, with
     s = d_inner / (d_inner + d_outer) from the distances to the two polygons: weight + (1 - weight) p(s),
-    p = s (`linear`) or 3 s^2 - 2 s^3 (`cubic`). A material point takes the mean over its domain.
+    p = s (`linear`), 3 s^2 - 2 s^3 (`cubic`) or s^exponent (`power`). A material point takes the mean over its domain.
     """
 
     added_in = _V1_3
@@ -75,9 +75,10 @@ class OverlapRegion(Part):
     inner: list[Point2] = Field(min_length=3, description="[m] corners in order; atoms only inside")
     outer: list[Point2] = Field(min_length=3, description="[m] corners in order; holds `inner`; continuum only outside")
     weight: float = Field(gt=0, le=1, description="[1] factor on stiffness and mass of the continuum at `inner`")
-    profile: Literal["constant", "linear", "cubic"] = Field(
+    profile: Literal["constant", "linear", "cubic", "power"] = Field(
         default="constant", description="how the factor goes from `inner` to `outer`"
     )
+    exponent: Annotated[Finite, Field(ge=1)] = Field(default=1.0, description="[1] of the profile `power`")
 
 
 # --- numerical scheme ----------------------------------------------------------------------------------------------

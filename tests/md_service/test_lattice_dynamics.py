@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from md_service.anchors import checked_anchors
-from md_service.crystals import fcc, hexagonal
+from md_service.crystals import chain, fcc, hexagonal
 from md_service.engine import Engine
 from md_service.ensembles import Ensemble
 from md_service.lattice_dynamics import LATTICE, SPRINGS, LatticeForces
@@ -227,3 +227,53 @@ def test_damping_shorter_than_the_step_is_refused() -> None:
     anchors = checked_anchors([0], sheet.position[:1], [1.0], [0], 0.9e-15, sheet.atom_mass)
     with pytest.raises(ValueError, match="damping_time"):
         dynamics.adopt(anchors)
+
+
+def test_chain_is_a_bar_with_the_constants_that_are_stated(tmp_path: Path) -> None:
+    """Pulled by a force at its ends, and hit at one: modulus from its stretch, density from its wave speed."""
+    stated = LATTICE.properties(tmp_path, "harmonic", "chain", 0.0, 1, no_progress)
+    sheet = LATTICE.properties(tmp_path, "harmonic", "hexagonal", 0.0, 1, no_progress)
+    assert (stated.young, stated.density) == pytest.approx((sheet.young, sheet.density), rel=1e-6)
+    assert (stated.poisson, stated.thickness) == (0.0, sheet.thickness)
+    bar = chain(A, 60 * A)
+    area = A**2 / np.sqrt(2.0)
+    assert np.prod((bar.box.high - bar.box.low)[1:]) == pytest.approx(area, rel=1e-12)
+    force = 1e-10
+    still, pulled = np.zeros_like(bar.position), bar.position.copy()
+    pulled[:, 0] *= 1.0 + force / (area * stated.young)
+    forces = LatticeForces(bar, HARMONIC)
+    still[0, 0], still[-1, 0] = force, -force
+    np.testing.assert_allclose(forces.forces(pulled)[0], still, rtol=0.0, atol=1e-9 * force)
+
+    wave = chain(A, 64 * A, periodic=True)
+    dynamics = VelocityVerlet(wave, LatticeForces(wave, HARMONIC), temperature=0.0, seed=1, time_step=1e-15)
+    number = 2.0 * np.pi / (64 * A)
+    state = dynamics.state()
+    state["velocity"][:, 0] = 0.1 * np.cos(number * wave.position[:, 0])
+    dynamics.restore(state)
+    dynamics.run(500)
+    amplitude = 2.0 / 64 * np.cos(number * wave.position[:, 0]) @ (dynamics.position() - wave.position)[:, 0]
+    # Of a standing wave; the row is slower than the bar by (q a)^2 / 24, 4e-4 here.
+    speed = np.sqrt(stated.young / stated.density)
+    frequency = speed * number * (1.0 - (number * A) ** 2 / 24.0)
+    assert amplitude == pytest.approx(0.1 / frequency * np.sin(frequency * 500e-15), rel=1e-3)
+    assert not dynamics.position()[:, 1:].any() and not dynamics.velocity()[:, 1:].any()
+
+
+def test_chain_at_a_temperature_moves_along_itself_only() -> None:
+    bar = chain(A, 200 * A)
+    dynamics = VelocityVerlet(bar, LatticeForces(bar, HARMONIC), temperature=0.0, seed=1, time_step=1e-15)
+    assert dynamics.dimension == 1
+    dynamics.hold(Ensemble("langevin", 100.0, 2e-14))
+    kinetic = []
+    for _ in range(400):
+        dynamics.run(20)
+        kinetic.append(0.5 * bar.mass[0] * np.sum(dynamics.velocity() ** 2))
+    # Half a kT an atom; 200 atoms and about 100 independent samples.
+    assert np.mean(kinetic[100:]) == pytest.approx(0.5 * 200 * BOLTZMANN * 100.0, rel=0.03)
+    assert not dynamics.position()[:, 1:].any() and not dynamics.velocity()[:, 1:].any()
+
+
+def test_chain_that_is_too_short_is_refused() -> None:
+    with pytest.raises(ValueError, match="holds 2 atoms"):
+        chain(A, 2 * A)

@@ -1,0 +1,167 @@
+"""Carries out the crack relay in a scene: looks at the tips, cuts atoms, extends the continuum's crack."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from coordinator.region import Region
+from coordinator.relay import Borders, Cut, Leg, Relay, Sight, stress_ahead
+from coordinator.scene import Scene
+from coordinator.units import LENGTHS, readable
+from protocol import atomistic as a
+from protocol import continuum as c
+from protocol.arrays import FloatArray
+from protocol.client import Client
+from protocol.messages import FieldsReply, FieldsRequest
+
+#: Row of [crack] among the continuum's cracks.
+CRACK = 0
+
+
+class CrackPassage:
+    """One tip of a scene's crack on its way through one region.
+
+    Parameters
+    ----------
+    scene : Scene
+        With a crack that may grow in the continuum.
+    region : Region
+        Joined.
+    continuum : Client
+    """
+
+    def __init__(self, scene: Scene, region: Region, continuum: Client) -> None:
+        crack = scene.crack
+        assert crack is not None
+        self._region = region
+        self._continuum = continuum
+        self._y = crack.y
+        self._own_y = crack.y - region.frame.centre[1]
+        self._cell = scene.finest_cell
+        self._end: Literal[0, 1] = 0 if region.frame.mirrored else 1
+        tip = crack.start_x if region.frame.mirrored else crack.tip_x
+        assert tip is not None
+        borders = _borders(region, self._own_y)
+        in_continuum = region.frame.x_to_sample(tip) < borders.near_outer
+        leg = Leg.CONTINUUM if in_continuum else Leg.ATOMS
+        self._relay = Relay(borders, self._cell, leg, crack.critical_stress)
+        self._length: float | None = None
+
+    @classmethod
+    def of_scene(cls, scene: Scene, regions: Sequence[Region], continuum: Client) -> list[CrackPassage]:
+        """Return one for each region where the scene has a crack that may grow in the continuum."""
+        if scene.crack is None or scene.crack.growth is None:
+            return []
+        return [cls(scene, region, continuum) for region in regions]
+
+    @property
+    def leg(self) -> Leg:
+        """Who carries the tip."""
+        return self._relay.leg
+
+    def follow(
+        self, continuum: c.ContinuumAdvanced, atoms: a.AtomisticAdvanced, step: int, values: dict[str, float]
+    ) -> list[c.ContinuumEvent]:
+        """Take in a coupling step; cut and extend where the tip changes hands.
+
+        Parameters
+        ----------
+        continuum, atoms : reply of each service
+        step : int
+            Of the coupling.
+        values : dict of str to float
+            Takes the stress ahead of the crack where it was looked at.
+
+        Returns
+        -------
+        list of ContinuumEvent
+            What happened, in words.
+        """
+        tip = next((one for one in continuum.tips if (one.crack, one.end) == (CRACK, self._end)), None)
+        grew = tip is not None and self._length is not None and tip.length > self._length
+        self._length = None if tip is None else tip.length
+        ahead = None
+        if self._relay.looks_ahead and (self._relay.leg is Leg.WAITING or grew):
+            ahead = self._stress_ahead(tip)
+            if ahead is not None:
+                values["stress_ahead"] = ahead
+        before = self._relay.leg
+        cut = self._relay.decide(
+            Sight(
+                continuum_tip=None if tip is None else self._region.frame.x_to_sample(tip.position[0]),
+                grew=grew,
+                atom_tip=atoms.crack_tip,
+                stress_ahead=ahead,
+            )
+        )
+        values["crack_leg"] = float(self._relay.leg.value)
+        if cut is not None:
+            self._carry_out(cut, step)
+        if self._relay.leg is before:
+            return []
+        return [c.ContinuumEvent(kind="relay", step=continuum.step, sentence=self._sentence(atoms))]
+
+    def state(self) -> np.ndarray:
+        """Return what `restore` needs."""
+        return np.append(self._relay.state(), np.nan if self._length is None else self._length)
+
+    def restore(self, state: np.ndarray) -> None:
+        """Set what `state` gave; the cuts are in the services' own states."""
+        self._relay.restore(state[:2])
+        self._length = None if np.isnan(state[2]) else float(state[2])
+
+    # --- inside ------------------------------------------------------------------------------------------
+
+    def _carry_out(self, cut: Cut, step: int) -> None:
+        request = a.CutRequest(from_x=cut.atoms_from, to_x=cut.atoms_to, y=self._own_y)
+        self._region.client.call("cut", request, a.Severed, step=step)
+        tip = (self._region.frame.x_to_scene(cut.continuum_to), self._y)
+        extension = c.CrackExtension(crack=CRACK, end=self._end, points=[tip])
+        self._continuum.call("extend_crack", extension, c.CrackExtended, step=step)
+        self._length = None  # this growth is none by the continuum's law
+
+    def _stress_ahead(self, tip: c.CrackTip | None) -> float | None:
+        names = ["position", "stress", "weight"]
+        fields = self._continuum.call("fields", FieldsRequest(names=names), FieldsReply).fields
+        place = self._relay.place_ahead
+        if place is not None:
+            where = np.array([self._region.frame.x_to_scene(place), self._y])
+        elif tip is not None:
+            where = np.array(tip.position)
+        else:
+            return None
+        return stress_ahead(
+            fields["position"], fields["stress"], fields["weight"], where, self._region.frame.sign, self._cell
+        )
+
+    def _sentence(self, atoms: a.AtomisticAdvanced) -> str:
+        leg, critical = self._relay.leg, self._relay.critical_stress
+        stress = "" if critical is None else f" at a stress ahead of {critical / 1e9:.3g} GPa"
+        if leg is Leg.ATOMS:
+            where = f"the handshake of {self._region.name} and went on as a cut among its atoms"
+            return f"The crack of the continuum reached {where}{stress}."
+        if leg is Leg.WAITING:
+            place = "" if atoms.crack_tip is None else f", at {readable(atoms.crack_tip, LENGTHS, 4)} in its frame"
+            return f"The crack among the atoms of {self._region.name} reached the far side{place}."
+        return f"The crack goes on in the continuum behind {self._region.name}{stress}."
+
+
+def _borders(region: Region, y: float) -> Borders:
+    """Return where the line of the crack crosses the ring."""
+    crossings: FloatArray = np.sort(
+        np.concatenate([_crossings(ring, y) for ring in (region.interface.ring.outer, region.interface.ring.inner)])
+    )
+    if len(crossings) != 4:
+        raise ValueError(f"crack.y: its line crosses the ring of {region.name} {len(crossings)} times, must 4 times")
+    return Borders(*crossings.tolist())
+
+
+def _crossings(corners: FloatArray, y: float) -> FloatArray:
+    """Return the x at which a polygon's border crosses a height."""
+    first, second = corners, np.roll(corners, -1, axis=0)
+    cross = (first[:, 1] > y) != (second[:, 1] > y)
+    one, other = first[cross], second[cross]
+    return np.asarray(one[:, 0] + (y - one[:, 1]) * (other[:, 0] - one[:, 0]) / (other[:, 1] - one[:, 1]))

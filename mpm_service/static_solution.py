@@ -1,0 +1,243 @@
+"""Equilibrium of a body under loads and edges that stay as they are, by Newton's method on the nodes of the grid.
+
+An iteration is a step without inertia. At the present places of the points the nodes have forces f, internal ones and
+loads, and a stiffness K; what prescribed motion leaves free, ``u = T q + g``, follows from
+
+    (T' K T + s M) q = T' (f - K g),
+
+and u moves and deforms the points as the velocities of a step do. So what ends as equilibrium here is what a step of
+a run measures as such, and the run stays at rest.
+
+The part s M, mass times a number so small that the lowest mode of a compact body is 1e-8 of it stiffer, stands in for
+supports: a body that nothing holds takes no rigid motion, in the mean over its mass, which is what dynamic relaxation
+from rest does too. It changes the way, not the end: the forces must vanish whatever K is. Nodes that a sliver of a
+domain reaches need nothing more: their force falls with the sliver as the square root of their stiffness does, and
+the points feel their displacement by that root again. They are scaled by their own stiffness, and left out only where
+round-off has eaten it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix, csc_matrix, diags
+from scipy.sparse.linalg import splu
+
+from . import nodes as node_kernels
+from .boundary_set import Constraints
+from .errors import SolverError
+from .interface import Anchors
+from .point_table import PointTable
+from .static_stiffness import assemble_stiffness
+from .time_integration import TimeIntegration
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+# Stiffness that stands in for supports, over the largest of a node.
+_SUPPORT = 1e-8
+# A component with less than this share of the largest stiffness of a node is left out.
+_LEAST_STIFFNESS = 1e-14
+# Largest displacement gradient of an iteration; a larger one is cut to it.
+_LARGEST_GRADIENT = 0.5
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """How a static solution ended.
+
+    Attributes
+    ----------
+    residual : float
+        Norm of the out-of-balance forces over the largest of those of internal forces, loads, and reactions.
+    steps : int
+        Iterations made.
+    converged : bool
+        Did the residual fall below the tolerance?
+    """
+
+    residual: float
+    steps: int
+    converged: bool
+
+
+class StaticSolution:
+    """Newton's method on the parts of a solver.
+
+    Parameters
+    ----------
+    run : TimeIntegration
+        With an approach of its faces, see `boundary_set.BoundarySet`.
+    table : PointTable
+    anchors : Anchors
+        They ride along.
+    sort : callable
+        Sorts the points and lists the nodes that they reach.
+    """
+
+    def __init__(self, run: TimeIntegration, table: PointTable, anchors: Anchors, sort: Callable[[], None]) -> None:
+        self._run = run
+        self._table = table
+        self._anchors = anchors
+        self._sort = sort
+        self._share = 0.0
+        """Of their approach that the faces have made."""
+
+    def solve(self, tolerance: float, max_steps: int, told: Callable[[int], None]) -> Equilibrium:
+        """Iterate until the residual is at most the tolerance.
+
+        Raises
+        ------
+        SolverError
+            If nothing holds the body against its loads, a point leaves the grid, or the system cannot be solved.
+        """
+        self._run.mapping.tabulates_all = True
+        done = 0
+        while True:
+            told(done)
+            system = self._gather()
+            if (self._share == 1.0 and system.residual <= tolerance) or done == max_steps:
+                return Equilibrium(system.residual, done, self._share == 1.0 and system.residual <= tolerance)
+            self._move(system.rows, system.solve(self._stiffness(system.number, system.rows.size)), done)
+            done += 1
+
+    def _gather(self) -> _System:
+        """Bring points and nodes up to their places, and the forces on the nodes."""
+        run = self._run
+        if run.cracks is not None:
+            run.cracks.follow()
+        self._sort()
+        mapping, momentum = run.mapping, run.nodes.momentum
+        mapping.tabulate(0)
+        if run.cracks is None:
+            run.boundary.approach_between(self._share, 1.0)
+        else:
+            run.boundary.approach_between(self._share, 1.0, run.cracks.field_map)
+        node_kernels.clear(mapping.active, momentum)
+        mapping.scatter_state(momentum)
+        dimension = mapping.columns.dimension
+        pull = slice(1 + dimension, 1 + 2 * dimension)
+        internal = momentum[:, pull].copy()
+        for load in run.loads:
+            load.add_forces(0, momentum)
+        active = mapping.active
+        node_kernels.drop_slivers(active, momentum, run.least_mass)
+        rows = active[momentum[active, 0] > 0.0]
+        number = np.full(momentum.shape[0], -1, dtype=np.int64)
+        number[rows] = np.arange(rows.size)
+        return _System(
+            rows,
+            number,
+            momentum[rows, 0],
+            internal[rows].ravel(),
+            (momentum[rows, pull] - internal[rows]).ravel(),
+            run.boundary.constraints(momentum),
+        )
+
+    def _stiffness(self, number: IntArray, count: int) -> csc_matrix:
+        mapping, table = self._run.mapping, self._table
+        first = mapping.tabulated.first
+        rows, ids = table.points.rows[first : mapping.alive], table.points.ids[first : mapping.alive]
+        return assemble_stiffness(
+            mapping.tabulated,
+            number,
+            count,
+            np.ascontiguousarray(rows[:, mapping.columns.volume]),
+            table.tangent(rows, ids),
+            rows[:, mapping.columns.stress : mapping.columns.mass],
+        )
+
+    def _move(self, rows: IntArray, displacement: FloatArray, done: int) -> None:
+        """Move and deform the points by nodal displacements [m], cut where they deform them too much."""
+        run = self._run
+        mapping = run.mapping
+        dimension = mapping.columns.dimension
+        motion = run.nodes.motion
+        node_kernels.clear(mapping.active, motion)
+        motion[rows, :dimension] = displacement.reshape(-1, dimension)
+        stencils = mapping.tabulated
+        valid = np.arange(stencils.node.shape[1]) < stencils.entries[:, None]
+        steep = np.einsum("pka,pkb->pab", np.where(valid[:, :, None], motion[stencils.node, :dimension], 0.0),
+                          stencils.gradient)  # fmt: skip
+        share = min(1.0, _LARGEST_GRADIENT / max(float(np.abs(steep).max()), 1e-300))
+        motion[rows, :dimension] *= share
+        extent = float(np.max(mapping.grids[0].upper - mapping.grids[0].lower))
+        moved = mapping.update_deform(motion, 1.0, 1.0, run.stress)
+        if not moved < extent:
+            raise SolverError(
+                f"iteration {done}: points move by {moved:.4g} m, which is beyond the grid: nothing holds the body "
+                "against its loads, or they are far too large",
+                done,
+            )
+        self._anchors.follow(motion, 1.0)
+        self._anchors.velocity[:] = 0.0
+        if run.cracks is not None:
+            run.cracks.move(mapping.points.rows, mapping.points.row_of)
+        self._share += share * (1.0 - self._share)
+
+
+class _System:
+    """Forces on the nodes and what holds them.
+
+    Attributes
+    ----------
+    rows : (n,) ndarray of int
+        Rows of the nodal tables that carry material.
+    number : (R,) ndarray of int
+        Their numbers, -1 for the other rows.
+    residual : float
+    """
+
+    def __init__(
+        self,
+        rows: IntArray,
+        number: IntArray,
+        mass: FloatArray,
+        internal: FloatArray,
+        external: FloatArray,
+        held: Constraints,
+    ) -> None:
+        self.rows, self.number = rows, number
+        dimension = internal.size // max(rows.size, 1)
+        self._mass = np.repeat(mass, dimension)
+        self._force = internal + external
+        follower = dimension * number[held.node] + held.component
+        self._offset = np.zeros(internal.size)
+        self._offset[follower] = (1.0 - held.ratio) * held.motion
+        free = np.ones(internal.size, dtype=bool)
+        free[follower] = False
+        place = np.cumsum(free) - 1
+        leading = held.free >= 0
+        leader = dimension * number[held.free[leading]] + held.component[leading]
+        own = np.flatnonzero(free)
+        self._free = csc_matrix(
+            coo_matrix(
+                (
+                    np.concatenate([np.ones(own.size), held.ratio[leading]]),
+                    (np.concatenate([own, follower[leading]]), np.concatenate([place[own], place[leader]])),
+                ),
+                shape=(internal.size, own.size),
+            )
+        )
+        reaction = (1.0 - held.ratio) * self._force[follower]
+        scale = max(float(np.linalg.norm(part)) for part in (internal, external, reaction))
+        self.residual = float(np.linalg.norm(self._free.T @ self._force)) / scale if scale > 0.0 else 0.0
+
+    def solve(self, stiffness: csc_matrix) -> FloatArray:
+        """Return displacements that would bring the forces to balance [m], (n d,)."""
+        free = self._free
+        matrix = (free.T @ stiffness @ free).tocsc()
+        stiff = matrix.diagonal()
+        kept = stiff > _LEAST_STIFFNESS * stiff.max(initial=0.0)
+        pull = (free.T @ (self._force - stiffness @ self._offset))[kept]
+        support = _SUPPORT * stiff.max(initial=0.0) / self._mass.sum() * (free.T @ diags(self._mass) @ free).diagonal()
+        matrix = matrix[kept][:, kept] + diags(support[kept])
+        scale = 1.0 / np.sqrt(stiff[kept] + support[kept])
+        scaled = (diags(scale) @ matrix @ diags(scale)).tocsc()
+        factors = splu(scaled, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        found = np.zeros(kept.size)
+        found[kept] = scale * factors.solve(scale * pull)
+        return np.asarray(free @ found + self._offset)
