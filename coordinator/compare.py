@@ -127,12 +127,15 @@ class Track:
 
     Attributes
     ----------
+    name : str
+        What the load is called.
     time, load, j, tip, temperature : float64 array, shape (rows,)
         s; as `Comparison.load` says; J/m2; m; K. NaN where there is none.
     broken : float64 array, shape (rows,)
         Broken bonds.
     """
 
+    name: str
     time: FloatArray
     load: FloatArray
     j: FloatArray
@@ -192,6 +195,7 @@ def compare_scene(
         f"full atomistic: {readable(body.size[0], LENGTHS, 4)} x {readable(body.size[1], LENGTHS, 4)}, "
         f"about {atoms:.0f} atoms, about {_duration(seconds)} on one idle core",
         highlight=False,
+        soft_wrap=True,
     )
     if not force and (seconds > LONGEST or (math.isnan(seconds) and not atoms <= MOST_ATOMS)):
         raise TooLarge(
@@ -220,11 +224,16 @@ def compare_scene(
     cost = run.run(shlex.join(words))
     held = [f"the scene leaves {what} free, the full atomistic run holds it" for what in run.held]
     lattice = _lattice_constant(scene, folder)
-    found = compare_runs(scene, material, folder, (coupled_atoms, run.atoms), (coupled_cost, cost), lattice, notes=held)
+    runs = {part: track(scene, material, folder / part) for part in (COUPLED, ALL_ATOM)}
+    sides = (
+        _side(runs[COUPLED], folder / COUPLED, coupled_atoms, coupled_cost, lattice),
+        _side(runs[ALL_ATOM], folder / ALL_ATOM, run.atoms, cost, lattice),
+    )
+    found = compare_runs(scene, runs[COUPLED], runs[ALL_ATOM], *sides, lattice, held)
     (folder / "compare.json").write_text(json.dumps(asdict(found), indent=2, allow_nan=False) + "\n")
     from coordinator.compare_page import write_page
 
-    page = write_page(folder, found, shlex.join(words))
+    page = write_page(folder, found, runs, shlex.join(words))
     console.print(table_of(found))
     for note in found.notes:
         console.print(f"note: {note}", highlight=False)
@@ -244,49 +253,37 @@ def estimate(body: WholeBody) -> tuple[float, float]:
 
 
 def compare_runs(
-    scene: Scene,
-    material: IsotropicMaterial,
-    folder: Path,
-    atoms: tuple[int, int],
-    costs: tuple[Cost, Cost],
-    lattice_constant: float,
-    notes: list[str],
+    scene: Scene, coupled: Track, whole: Track, left: Side, right: Side, lattice_constant: float, notes: list[str]
 ) -> Comparison:
-    """Hold the results of two runs in a folder against each other; pairs are coupled, full atomistic."""
-    name, coupled = track(scene, material, folder / COUPLED)
-    _, whole = track(scene, material, folder / ALL_ATOM)
+    """Hold two runs against each other, the coupled one first."""
     growth = scene.run.stop_after_crack_growth
     if growth is None:
-        growth = min(one.growth for one in (coupled, whole))
-    sides = [
-        _side(one, folder / part, count, cost, lattice_constant)
-        for one, part, count, cost in zip((coupled, whole), (COUPLED, ALL_ATOM), atoms, costs, strict=True)
-    ]
-    breaks = [side.load_at_first_break for side in sides]
+        growth = min(coupled.growth, whole.growth)
+    breaks = left.load_at_first_break, right.load_at_first_break
     return Comparison(
         scene=scene.title,
-        load=name,
+        load=coupled.name,
         lattice_constant=lattice_constant,
         growth=growth,
-        coupled=sides[0],
-        all_atom=sides[1],
+        coupled=left,
+        all_atom=right,
         load_error=None if breaks[0] is None or not breaks[1] else breaks[0] / breaks[1] - 1.0,
         tip_difference=tip_difference(coupled, whole, growth, lattice_constant),
         tip_load_difference=tip_load_difference(coupled, whole, growth, lattice_constant),
-        time_share=costs[0].wall_seconds / costs[1].wall_seconds,
-        processor_share=costs[0].processor_seconds / costs[1].processor_seconds,
+        time_share=left.wall_seconds / right.wall_seconds,
+        processor_share=left.processor_seconds / right.processor_seconds,
         notes=notes,
     )
 
 
-def track(scene: Scene, material: IsotropicMaterial, folder: Path) -> tuple[str, Track]:
-    """Return what the load is called, and the course of the run in a folder."""
+def track(scene: Scene, material: IsotropicMaterial, folder: Path) -> Track:
+    """Return the course of the run in a folder."""
     with Results(folder / "results.h5") as results:
         series = results.series
     nothing = np.full(len(series["time"]), math.nan)
     name, load, j = load_of(scene, material, series["time"])
-    return name, Track(
-        series["time"], load, j, series.get("crack_tip", nothing), series["temperature"], series["broken_bonds"]
+    return Track(
+        name, series["time"], load, j, series.get("crack_tip", nothing), series["temperature"], series["broken_bonds"]
     )
 
 

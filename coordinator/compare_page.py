@@ -6,13 +6,11 @@ from html import escape
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from coordinator.compare import ALL_ATOM, COUPLED, Comparison, rows_of
+from coordinator.compare import ALL_ATOM, COUPLED, Comparison, Track, rows_of
 from coordinator.display_units import ANGSTROM, PICOSECOND
-from coordinator.figures import BLUE, ORANGE, PALE, WIDTH, picture, style
-from coordinator.results import Results
+from coordinator.figures import BLUE, ORANGE, WIDTH, picture, style
 from protocol.arrays import FloatArray
 
 _CSS = """
@@ -28,16 +26,16 @@ _COLOUR = {COUPLED: BLUE, ALL_ATOM: ORANGE}
 _NAME = {COUPLED: "coupled", ALL_ATOM: "full atomistic"}
 
 
-def write_page(folder: Path, found: Comparison, command: str) -> Path:
+def write_page(folder: Path, found: Comparison, runs: dict[str, Track], command: str) -> Path:
     """Write `compare.png` and `compare.html` and return the page."""
     with style():
-        figure = draw(folder, found)
+        figure = draw(found, runs)
         figure.savefig(folder / "compare.png")
         shown = picture(
             figure,
             "Crack, temperature and cost",
-            "Growth of the crack over the load, its first lattice constants; temperature of all atoms; what each run "
-            "took. The two runs have the same load at the same time.",
+            "Way of the crack tip over the load, temperature of all atoms of each run, and what each run took. The two "
+            "runs have the same load at the same time.",
         )
     notes = "".join(f"<li>{escape(note)}</li>" for note in found.notes)
     head = "".join(f"<th>{name}</th>" for name in ("", "coupled", "full atomistic", "difference"))
@@ -54,39 +52,27 @@ def write_page(folder: Path, found: Comparison, command: str) -> Path:
     return page
 
 
-def draw(folder: Path, found: Comparison) -> Figure:
-    """Return the figure: tip and temperature of both runs, and their cost."""
-    figure = Figure(figsize=(WIDTH, 6.4), layout="constrained")
+def draw(found: Comparison, runs: dict[str, Track]) -> Figure:
+    """Return the figure: tip over load, temperature of all atoms over time, cost."""
+    figure = Figure(figsize=(WIDTH, 6.6), layout="constrained")
     tip, warm, cost = figure.subplots(3, 1, height_ratios=(2.4, 1.2, 0.9))
     for part, side in ((COUPLED, found.coupled), (ALL_ATOM, found.all_atom)):
-        with Results(folder / part / "results.h5") as results:
-            series = results.series
-        time = series["time"] / PICOSECOND
-        if "crack_tip" in series:
-            grown = (series["crack_tip"] - series["crack_tip"][0]) / ANGSTROM
-            tip.step(time, grown, where="post", color=_COLOUR[part], label=_NAME[part])
-        warm.plot(time, _smooth(series["temperature"]), color=_COLOUR[part])
-        cost.barh(_NAME[part], side.wall_seconds, color=_COLOUR[part], height=0.6)
+        run, colour = runs[part], _COLOUR[part]
+        tip.step(run.load, (run.tip - run.tip[0]) / ANGSTROM, where="post", color=colour, label=_NAME[part])
+        broken = run.first_break()
+        if broken is not None:
+            tip.axvline(run.load[broken], color=colour, ls=":", lw=1.0)
+        warm.plot(run.time / PICOSECOND, _smooth(run.temperature), color=colour)
+        cost.barh(_NAME[part], side.wall_seconds, color=colour, height=0.6)
         cost.annotate(f" {side.wall_seconds:.3g} s, {side.atoms} atoms", (side.wall_seconds, _NAME[part]), va="center")
-    tip.set(ylabel="growth of the crack (Å)", xlabel="time (ps)", title="Crack tip")
+    tip.set(ylabel="growth of the crack (Å)", xlabel=found.load, title="Crack tip; dotted: first broken bond")
     tip.legend(loc="upper left")
-    _mark_breaks(tip, folder)
     warm.set(ylabel="temperature (K)", xlabel="time (ps)")
     cost.set(xlabel="wall time (s)")
     cost.margins(x=0.35)
     cost.invert_yaxis()
     cost.grid(False)
     return figure
-
-
-def _mark_breaks(axes: Axes, folder: Path) -> None:
-    """Mark the first broken bond of each run."""
-    for part in (COUPLED, ALL_ATOM):
-        with Results(folder / part / "results.h5") as results:
-            rows = np.flatnonzero(results.series["broken_bonds"] > 0)
-            if len(rows):
-                axes.axvline(results.series["time"][rows[0]] / PICOSECOND, color=_COLOUR[part], ls=":", lw=1.0)
-    axes.annotate("dotted: first broken bond", (0.99, 0.02), xycoords="axes fraction", ha="right", color=PALE)
 
 
 def _smooth(values: FloatArray) -> FloatArray:

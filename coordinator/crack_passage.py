@@ -8,17 +8,19 @@ from typing import Literal
 import numpy as np
 
 from coordinator.region import Region
-from coordinator.relay import Borders, Cut, Leg, Relay, Sight, stress_ahead
+from coordinator.relay import Borders, Cut, Leg, Relay, Sight
 from coordinator.scene import Scene
+from coordinator.series import series_name
 from coordinator.units import LENGTHS, readable
 from protocol import atomistic as a
 from protocol import continuum as c
 from protocol.arrays import FloatArray
 from protocol.client import Client
-from protocol.messages import FieldsReply, FieldsRequest
 
 #: Row of [crack] among the continuum's cracks.
 CRACK = 0
+#: Kinds of the continuum's events that the relay heeds.
+GROWTH, REACHED = "growth", "reached_overlap"
 
 
 class CrackPassage:
@@ -31,31 +33,32 @@ class CrackPassage:
     region : Region
         Joined.
     continuum : Client
+    alone : bool
+        Whether it is the only region of the scene; else the names of its series end with its own.
     """
 
-    def __init__(self, scene: Scene, region: Region, continuum: Client) -> None:
+    def __init__(self, scene: Scene, region: Region, continuum: Client, alone: bool = True) -> None:
         crack = scene.crack
         assert crack is not None
         self._region = region
         self._continuum = continuum
+        self._alone = alone
         self._y = crack.y
         self._own_y = crack.y - region.frame.centre[1]
-        self._cell = scene.finest_cell
         self._end: Literal[0, 1] = 0 if region.frame.mirrored else 1
         tip = crack.start_x if region.frame.mirrored else crack.tip_x
         assert tip is not None
         borders = _borders(region, self._own_y)
         in_continuum = region.frame.x_to_sample(tip) < borders.near_outer
         leg = Leg.CONTINUUM if in_continuum else Leg.ATOMS
-        self._relay = Relay(borders, self._cell, leg, crack.critical_stress)
-        self._length: float | None = None
+        self._relay = Relay(borders, scene.finest_cell, leg, crack.critical_stress)
 
     @classmethod
     def of_scene(cls, scene: Scene, regions: Sequence[Region], continuum: Client) -> list[CrackPassage]:
         """Return one for each region where the scene has a crack that may grow in the continuum."""
         if scene.crack is None or scene.crack.growth is None:
             return []
-        return [cls(scene, region, continuum) for region in regions]
+        return [cls(scene, region, continuum, alone=len(regions) == 1) for region in regions]
 
     @property
     def leg(self) -> Leg:
@@ -73,31 +76,27 @@ class CrackPassage:
         step : int
             Of the coupling.
         values : dict of str to float
-            Takes the stress ahead of the crack where it was looked at.
+            Takes the leg.
 
         Returns
         -------
         list of ContinuumEvent
             What happened, in words.
         """
-        tip = next((one for one in continuum.tips if (one.crack, one.end) == (CRACK, self._end)), None)
-        grew = tip is not None and self._length is not None and tip.length > self._length
-        self._length = None if tip is None else tip.length
-        ahead = None
-        if self._relay.looks_ahead and (self._relay.leg is Leg.WAITING or grew):
-            ahead = self._stress_ahead(tip)
-            if ahead is not None:
-                values["stress_ahead"] = ahead
+        told = {event.kind: event.tip for event in continuum.events if event.tip is not None and self._mine(event.tip)}
+        now = next((tip for tip in continuum.tips if self._mine(tip)), None)
+        measured = told.get(REACHED) or told.get(GROWTH) or now
         before = self._relay.leg
         cut = self._relay.decide(
             Sight(
-                continuum_tip=None if tip is None else self._region.frame.x_to_sample(tip.position[0]),
-                grew=grew,
+                grew=GROWTH in told,
+                reached=REACHED in told,
+                stress=None if measured is None else measured.hoop_stress,
                 atom_tip=atoms.crack_tip,
-                stress_ahead=ahead,
             )
         )
-        values["crack_leg"] = float(self._relay.leg.value)
+        name = series_name("crack_leg", self._region.name, self._alone)
+        values[name] = float(self._relay.leg.value)
         if cut is not None:
             self._carry_out(cut, step)
         if self._relay.leg is before:
@@ -106,36 +105,24 @@ class CrackPassage:
 
     def state(self) -> np.ndarray:
         """Return what `restore` needs."""
-        return np.append(self._relay.state(), np.nan if self._length is None else self._length)
+        return self._relay.state()
 
     def restore(self, state: np.ndarray) -> None:
         """Set what `state` gave; the cuts are in the services' own states."""
-        self._relay.restore(state[:2])
-        self._length = None if np.isnan(state[2]) else float(state[2])
+        self._relay.restore(state)
 
     # --- inside ------------------------------------------------------------------------------------------
 
+    def _mine(self, tip: c.CrackTip) -> bool:
+        return (tip.crack, tip.end) == (CRACK, self._end)
+
     def _carry_out(self, cut: Cut, step: int) -> None:
-        request = a.CutRequest(from_x=cut.atoms_from, to_x=cut.atoms_to, y=self._own_y)
-        self._region.client.call("cut", request, a.Severed, step=step)
+        if cut.atoms is not None:
+            severed = a.CutRequest(from_x=cut.atoms[0], to_x=cut.atoms[1], y=self._own_y)
+            self._region.client.call("cut", severed, a.Severed, step=step)
         tip = (self._region.frame.x_to_scene(cut.continuum_to), self._y)
         extension = c.CrackExtension(crack=CRACK, end=self._end, points=[tip])
         self._continuum.call("extend_crack", extension, c.CrackExtended, step=step)
-        self._length = None  # this growth is none by the continuum's law
-
-    def _stress_ahead(self, tip: c.CrackTip | None) -> float | None:
-        names = ["position", "stress", "weight"]
-        fields = self._continuum.call("fields", FieldsRequest(names=names), FieldsReply).fields
-        place = self._relay.place_ahead
-        if place is not None:
-            where = np.array([self._region.frame.x_to_scene(place), self._y])
-        elif tip is not None:
-            where = np.array(tip.position)
-        else:
-            return None
-        return stress_ahead(
-            fields["position"], fields["stress"], fields["weight"], where, self._region.frame.sign, self._cell
-        )
 
     def _sentence(self, atoms: a.AtomisticAdvanced) -> str:
         leg, critical = self._relay.leg, self._relay.critical_stress

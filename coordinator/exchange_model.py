@@ -12,17 +12,16 @@ outer border; the continuum lies to the left and in the overlap (0, 1), the atom
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numba import njit
 
 from coordinator.handshake import Scheme, damping_share
 from coordinator.weight_profile import WeightProfile
-from protocol.arrays import FloatArray, IntArray
+from protocol.arrays import FloatArray
 
-#: Displacement, in the units of the start, beyond which a run has blown up.
-_RUNAWAY = 1e6
+#: Energy beyond which a run that started with about one has blown up.
+_RUNAWAY = 1e12
 
 
 @dataclass(frozen=True)
@@ -91,8 +90,8 @@ class State:
     atom, atom_velocity : float64 array, shape (atoms,)
     reaction : float64 array, shape (anchors,)
         Mean force on the continuum.
-    last_velocity : float64 array, shape (anchors,)
-        Of the anchors one step before, for the prediction of the parallel scheme.
+    velocity, last_velocity : float64 array, shape (anchors,)
+        Of the anchors in the last step and in the one before, for the prediction of the parallel scheme.
     """
 
     node: FloatArray
@@ -100,6 +99,7 @@ class State:
     atom: FloatArray
     atom_velocity: FloatArray
     reaction: FloatArray
+    velocity: FloatArray
     last_velocity: FloatArray
 
 
@@ -107,9 +107,7 @@ def at_rest(model: Model) -> State:
     """Return the state without displacement."""
     nodes, atoms = len(model.nodes), len(model.places)
     anchors = int((model.places < 1.0).sum())
-    return State(
-        np.zeros(nodes), np.zeros(nodes), np.zeros(atoms), np.zeros(atoms), np.zeros(anchors), np.zeros(anchors)
-    )
+    return State(*(np.zeros(n) for n in (nodes, nodes, atoms, atoms, anchors, anchors, anchors)))
 
 
 def shaken(model: Model, seed: int = 1) -> State:
@@ -145,7 +143,8 @@ def advance(model: Model, state: State, steps: int) -> FloatArray:
     done = _advance(
         steps, model.coupling_step, model.steps_per_exchange, model.continuum_steps, model.impulse,
         model.scheme == "parallel", weight / h, mass, 1.0 / a, a, spring, damper, left, way - left,
-        state.node, state.node_velocity, state.atom, state.atom_velocity, state.reaction, state.last_velocity, energy,
+        state.node, state.node_velocity, state.atom, state.atom_velocity, state.reaction, state.velocity,
+        state.last_velocity, energy,
     )  # fmt: skip
     return energy[:done]
 
@@ -179,21 +178,20 @@ def _atom_forces(place, bond, spring, anchor, force):  # type: ignore[no-untyped
 
 @njit(nogil=True, cache=True)
 def _advance(  # type: ignore[no-untyped-def]  # numba
-    steps, coupling_step, m_steps, n_steps, impulse, parallel, element, mass, bond, atom_mass, spring, damper, left, far,
-    u, v, r, s, reaction, last_velocity, energy,
+    steps, coupling_step, m_steps, n_steps, impulse, parallel, element, mass, bond, atom_mass, spring, damper, left,
+    far, u, v, r, s, reaction, velocity, last_velocity, energy,
 ):  # fmt: skip
     anchors, nodes, atoms = len(spring), len(u), len(r)
     dt, sub = coupling_step / m_steps, coupling_step / n_steps
     force, pull = np.zeros(nodes), np.zeros(atoms)
-    anchor, velocity, before = np.zeros(anchors), np.zeros(anchors), np.zeros(anchors)
+    anchor, before = np.zeros(anchors), np.zeros(anchors)
     for step in range(steps):
         for i in range(anchors):
             j = left[i]
             before[i] = u[j] * (1.0 - far[i]) + u[j + 1] * far[i]
         if parallel:  # the anchors' place at the end of this step, predicted from what is known at its start
             for i in range(anchors):
-                now = velocity[i]
-                anchor[i] = before[i] + coupling_step * (2.0 * now - last_velocity[i])
+                anchor[i] = before[i] + coupling_step * (2.0 * velocity[i] - last_velocity[i])
         for n in range(n_steps):
             force[:] = 0.0
             _bar_forces(u, element, force)
@@ -220,6 +218,7 @@ def _advance(  # type: ignore[no-untyped-def]  # numba
         for _ in range(m_steps):
             for i in range(anchors):
                 x = 0.5 * dt * damper[i] / atom_mass
+                reaction[i] -= 0.5 * damper[i] * (velocity[i] - s[i]) / m_steps
                 s[i] += x * (velocity[i] - s[i])
             for k in range(atoms):
                 s[k] += 0.5 * dt * pull[k] / atom_mass
@@ -234,7 +233,7 @@ def _advance(  # type: ignore[no-untyped-def]  # numba
             for i in range(anchors):
                 x = 0.5 * dt * damper[i] / atom_mass
                 s[i] = (s[i] + x * velocity[i]) / (1.0 + x)
-                reaction[i] -= damper[i] * (velocity[i] - s[i]) / m_steps
+                reaction[i] -= 0.5 * damper[i] * (velocity[i] - s[i]) / m_steps
         if parallel:
             for i in range(anchors):
                 velocity[i] = before[i]
@@ -252,6 +251,6 @@ def _advance(  # type: ignore[no-untyped-def]  # numba
             j = left[i]
             gap = r[i] - u[j] * (1.0 - far[i]) - u[j + 1] * far[i]
             energy[step, 2] += 0.5 * spring[i] * gap**2
-        if not energy[step, 0] + energy[step, 1] < 1e12:
+        if not energy[step, 0] + energy[step, 1] < _RUNAWAY:
             return step + 1
     return steps

@@ -97,11 +97,21 @@ def picture(figure: Figure, title: str, caption: str, raster: bool = False) -> P
     return Picture(title, caption, buffer.getvalue(), "png" if raster else "svg+xml")
 
 
+#: Least ratio of the sides of a map.
+_LEAST_ASPECT = 0.05
+
+
 def panels(count: int, height: float) -> tuple[Figure, list[Axes]]:
     """Return a figure with `count` panels below each other that share the x axis."""
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
     axes = figure.subplots(count, 1, sharex=True, squeeze=False)
     return figure, list(axes[:, 0])
+
+
+def _widened(span: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
+    """Return a span of at least a part of the other: a row of atoms has no height."""
+    lack = 0.5 * max(0.0, _LEAST_ASPECT * (other[1] - other[0]) - (span[1] - span[0]))
+    return span[0] - lack, span[1] + lack
 
 
 def map_axes(
@@ -116,6 +126,7 @@ def map_axes(
         Points of print (1/72 inch) a unit, for the size of markers.
     """
     left, right, bottom, top = 0.74, 0.88 if bar else 0.1, 0.42, 0.1
+    x, y = _widened(x, y), _widened(y, x)
     width = WIDTH - left - right
     height = width * (y[1] - y[0]) / (x[1] - x[0])
     if height > 1.25 * width:  # a tall body is drawn narrower, not longer than a screen

@@ -31,7 +31,6 @@ from scipy.linalg import solve_banded
 from scipy.optimize import brentq
 
 from coordinator.weight_profile import WeightProfile
-from protocol.arrays import FloatArray
 
 _ELEMENTS = 400
 _BAND = 3  # unknowns alternate between the bars, u0 r0 u1 r1 ...
@@ -148,11 +147,11 @@ def scatter(profile: WeightProfile, stiffness: float, wavelength: float, damping
 def _bars(profile: WeightProfile, spring: complex, omega: float) -> NDArray[Any]:
     """Return stiffness minus omega^2 mass of both bars and their springs, as diagonals for `solve_banded`."""
     h = 1.0 / _ELEMENTS
-    weight = profile.at(1.0 - (np.arange(_ELEMENTS) + 0.5) * h)
+    weight = profile.at(np.linspace(1.0 - 0.5 * h, 0.5 * h, _ELEMENTS))
     tie = spring * weight / profile.at_border
     matrix = np.zeros((2 * _BAND + 1, 2 * (_ELEMENTS + 1)), dtype=np.complex128 if omega else np.float64)
 
-    def add(bar: int, other: int, same: FloatArray, across: FloatArray) -> None:
+    def add(bar: int, other: int, same: NDArray[Any], across: NDArray[Any]) -> None:
         """Add a 2 x 2 element matrix with `same` on its diagonal, `across` off it, between two bars."""
         near, far = slice(None, -1), slice(1, None)
         rows = matrix.reshape(2 * _BAND + 1, _ELEMENTS + 1, 2)  # entry (row i, column j) lies at [BAND + i - j, j]

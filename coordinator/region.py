@@ -15,9 +15,10 @@ from coordinator.atomistic_request import (
     register_request,
 )
 from coordinator.frame import Frame
+from coordinator.grid_lines import snapped_overlap
 from coordinator.handshake import Handshake, choose
 from coordinator.interface import Interface, build_interface
-from coordinator.ring import Ring, rectangle_ring, shaped_ring, snapped_overlap
+from coordinator.ring import Ring, rectangle_ring, shaped_ring
 from coordinator.scene import Scene
 from coordinator.scene_tables import Place
 from protocol import atomistic as a

@@ -2,18 +2,18 @@
 
 ::
 
-                tip at the ring                     tip at the far side
-    CONTINUUM -------------------->  ATOMS  ------------------------------>  WAITING
-     |     ^   cut through the ring   |   ^                                    |
-     +-----+                          +---+                                    |  stress ahead at least
-      grows by its law,           tracked by bonds                             |  the saved critical one:
-      stress ahead is saved                                                    |  cut through the far ring
-                                                                               v
+                  reached the ring                     reached the far side
+    CONTINUUM ------------------------>  ATOMS  -------------------------------->  WAITING
+     |     ^    cut through the near     |   ^    cut through the far half of        |
+     +-----+    half of the ring         +---+    the ring, to its outer border      |
+      grows by its law:              tracked by bonds                                |  stress ahead is at
+      stress ahead is saved                                                          |  least the saved one
+                                                                                     v
                                                                   BEYOND (grows by its law)
 
-The continuum's crack grows by its own law in CONTINUUM and BEYOND alone (the dissertation's PROPAGATE is true); in
-the other two its tip lies where there are atoms only. All places here are along the crack, in the sample's frame,
-in which it comes from the left.
+The continuum's crack grows by its own law in CONTINUUM and BEYOND alone: there the dissertation's PROPAGATE is true.
+In ATOMS the tip lies where there are atoms only, in WAITING on the far border, where the service measures it and
+does not let it grow. All places here are along the crack, in the sample's frame, in which it comes from the left.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ from enum import Enum
 
 import numpy as np
 
-from protocol.arrays import FloatArray
+#: Part of a cell by which the crack is pushed beyond the far border, from where it grows by its law.
+_PUSH = 0.5
 
 
 class Leg(Enum):
@@ -56,20 +57,20 @@ class Sight:
 
     Attributes
     ----------
-    continuum_tip : float or None
-        Of the continuum's crack, m; None where it has none.
     grew : bool
-        Whether it grew in this step.
+        Whether the continuum's crack grew.
+    reached : bool
+        Whether it came to the ring with a load at which it would go on.
+    stress : float or None
+        Opening stress ahead of the continuum's tip, Pa; None where it was not measured.
     atom_tip : float or None
-        Of the atoms' crack, m.
-    stress_ahead : float or None
-        Opening stress in the continuum ahead of where the crack is, or would be, Pa; None where not looked at.
+        Tip of the atoms' crack, m.
     """
 
-    continuum_tip: float | None
-    grew: bool
-    atom_tip: float | None
-    stress_ahead: float | None
+    grew: bool = False
+    reached: bool = False
+    stress: float | None = None
+    atom_tip: float | None = None
 
 
 @dataclass(frozen=True)
@@ -78,15 +79,14 @@ class Cut:
 
     Attributes
     ----------
-    atoms_from, atoms_to : float
-        Line that severs the atoms.
     continuum_to : float
         New tip of the continuum's crack.
+    atoms : tuple of float or None
+        Ends of the line that severs the atoms; None where they stay.
     """
 
-    atoms_from: float
-    atoms_to: float
     continuum_to: float
+    atoms: tuple[float, float] | None = None
 
 
 class Relay:
@@ -96,10 +96,10 @@ class Relay:
     ----------
     borders : Borders
     reach : float
-        Distance to the ring at which the crack is handed over, m: that of a cell of the continuum.
+        Distance to the far side at which the atoms' tip counts as there, m: a cell of the continuum.
     leg : Leg
         Where the tip is at the start.
-    critical_stress : float or None
+    critical_stress : float, optional
         Stress ahead at which the continuum cracks anew, Pa, for a crack that begins among the atoms. One that comes
         from the continuum saves its own.
     """
@@ -110,41 +110,25 @@ class Relay:
         self.leg = leg
         self.critical_stress = critical_stress
 
-    @property
-    def looks_ahead(self) -> bool:
-        """Whether the next decision needs the stress ahead of the crack."""
-        return self.leg in (Leg.CONTINUUM, Leg.WAITING)
-
-    @property
-    def place_ahead(self) -> float | None:
-        """Where the continuum would crack anew, m; None where its own tip is meant."""
-        return self.borders.far_outer if self.leg is Leg.WAITING else None
-
     def decide(self, sight: Sight) -> Cut | None:
-        """Take in what is seen; returns the cut to make where the leg changes hands.
-
-        Parameters
-        ----------
-        sight : Sight
-        """
+        """Take in what is seen after a step; returns the cut to make where the leg changes."""
         b = self.borders
-        if self.leg is Leg.CONTINUUM and sight.continuum_tip is not None:
-            if sight.grew and sight.stress_ahead is not None:
-                self.critical_stress = sight.stress_ahead
-            if sight.continuum_tip >= b.near_outer - self.reach:
+        through = b.near_inner - b.near_outer  # beyond the last atoms on either side
+        if self.leg is Leg.CONTINUUM:
+            if (sight.grew or sight.reached) and sight.stress is not None:
+                self.critical_stress = sight.stress
+            if sight.reached:
                 self.leg = Leg.ATOMS
-                # From beyond the last atom: the edge of the sample is cut through.
-                return Cut(b.near_outer - (b.near_inner - b.near_outer), b.near_inner, b.near_inner)
+                return Cut(b.near_inner, (b.near_outer - through, b.near_inner))
         elif self.leg is Leg.ATOMS:
             if sight.atom_tip is not None and sight.atom_tip >= b.far_inner - self.reach:
                 self.leg = Leg.WAITING
+                return Cut(b.far_outer, (min(sight.atom_tip, b.far_inner), b.far_outer + through))
         elif self.leg is Leg.WAITING:
-            critical, ahead = self.critical_stress, sight.stress_ahead
+            critical, ahead = self.critical_stress, sight.stress
             if critical is not None and ahead is not None and ahead >= critical:
                 self.leg = Leg.BEYOND
-                return Cut(
-                    b.far_inner - self.reach, b.far_outer + (b.far_outer - b.far_inner), b.far_outer + self.reach
-                )
+                return Cut(b.far_outer + _PUSH * self.reach)
         return None
 
     def state(self) -> np.ndarray:
@@ -155,33 +139,3 @@ class Relay:
         """Set what `state` gave."""
         self.leg = Leg(int(state[0]))
         self.critical_stress = None if np.isnan(state[1]) else float(state[1])
-
-
-def stress_ahead(position: FloatArray, stress: FloatArray, weight: FloatArray, tip: FloatArray, sign: float,
-                 size: float) -> float | None:  # fmt: skip
-    """Return the mean opening stress in the continuum just ahead of a place, Pa.
-
-    The mean over the material points of full weight in a box two cells long and two high, ahead of it.
-
-    Parameters
-    ----------
-    position : float64 array, shape (points, 3)
-        m.
-    stress : float64 array, shape (points, 3)
-        xx, yy, xy, Pa.
-    weight : float64 array, shape (points,)
-    tip : float64 array, shape (2,)
-        m.
-    sign : float
-        1 where the crack goes to +x, -1 where to -x.
-    size : float
-        Edge of a cell, m.
-
-    Returns
-    -------
-    float or None
-        None where there are no points.
-    """
-    ahead = sign * (position[:, 0] - tip[0])
-    box = (ahead > 0.0) & (ahead < 2.0 * size) & (np.abs(position[:, 1] - tip[1]) < size) & (weight > 1.0 - 1e-9)
-    return float(stress[box, 1].mean()) if box.any() else None

@@ -14,7 +14,7 @@ from pydantic.fields import FieldInfo
 
 from coordinator.atomistic_tables import Atomistic
 from coordinator.continuum_tables import Continuum, Edge, Material
-from coordinator.ring import snapped_overlap
+from coordinator.grid_lines import snapped_overlap
 from coordinator.scene_checks import Problem, cross_checks
 from coordinator.scene_tables import Crack, Handshake, Place, Run, Scene
 from coordinator.table import Corners

@@ -9,11 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
-
 from coordinator.continuum_checks import CELL_TOLERANCE, Problem, continuum_checks, known, length, whole
-from coordinator.frame import Frame
-from coordinator.ring import snapped_overlap
+from coordinator.grid_lines import snapped_overlap
 from coordinator.scene_tables import Place
 from coordinator.table import Corners
 
@@ -176,16 +173,19 @@ def _rings(scene: Any) -> Iterator[tuple[Any, Corners, Corners]]:
     for place in scene.regions or [Place(name="atomistic")]:
         if place.centre is None:
             continue
-        frame = Frame(place.centre, bool(place.mirrored))
         cell = continuum.cell_size / 2 ** len(continuum.refinement or [])
-        pair = snapped_overlap(
-            frame.grid_corner(continuum.lower), cell, atoms.width, atoms.height, handshake.width
-        )  # fmt: skip
-        ends = [frame.to_scene(np.array(corners)) for corners in pair]
-        inner, outer = (
-            ((low[0], low[1]), (high[0], high[1])) for low, high in ((e.min(axis=0), e.max(axis=0)) for e in ends)
-        )
+        (x, y), sign = place.centre, -1.0 if place.mirrored else 1.0
+        line = (sign * (continuum.lower[0] - x), continuum.lower[1] - y)
+        pair = snapped_overlap(line, cell, atoms.width, atoms.height, handshake.width)
+        inner, outer = (_placed(corners, x, y, sign) for corners in pair)
         yield place, inner, outer
+
+
+def _placed(corners: Corners, x: float, y: float, sign: float) -> Corners:
+    """Return a sample's rectangle in the scene's frame."""
+    (left, bottom), (right, top) = corners
+    ends = sorted((x + sign * left, x + sign * right))
+    return (ends[0], y + bottom), (ends[1], y + top)
 
 
 def _room(scene: Any, place: Any, inner: Corners, outer: Corners, cell: float) -> Iterator[Problem]:

@@ -9,7 +9,7 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from coordinator.atomistic_tables import Atomistic
 from coordinator.continuum_tables import Continuum, CrackGrowth
-from coordinator.ring import snapped_overlap
+from coordinator.grid_lines import snapped_overlap
 from coordinator.table import Corners, Count, Name, Table
 from coordinator.units import (
     Length,
@@ -76,8 +76,8 @@ class Handshake(Table):
     )
     profile: Literal["constant", "linear", "cubic", "power"] | None = Field(
         default=None,
-        description="of the weight, from `weight` at the inner border to 1 at the outer; absent: the steepest power that"
-        " is stable, constant where weight or stiffness are given",
+        description="of the weight, from `weight` at the inner border to 1 at the outer; absent: the steepest power"
+        " that is stable, or constant where weight or stiffness are given",
     )
     stiffness: PositiveStiffness | None = Field(default=None, description="anchor spring, N/m; absent: by theory")
     alpha: Annotated[float, Field(strict=True, ge=0, lt=1)] = Field(
@@ -136,7 +136,7 @@ class Crack(Table):
         default=None, description="critical energy release rate, for the critical crack length of Eq 1, J/m2"
     )
     strength: PositivePressure | None = Field(
-        default=None, description="theoretical strength, for the critical crack length; absent: a tenth of Young's modulus"
+        default=None, description="theoretical strength, for Eq 1, Pa; absent: a tenth of Young's modulus"
     )
 
 

@@ -51,7 +51,6 @@ SERIES: dict[str, Series] = {
     "residual_continuum": Series("J", "what the books of the continuum miss by"),
     "residual_atoms": Series("J", "what the books of the atoms miss by"),
     "residual_interface": Series("J", "what the books of the interface miss by"),
-    "stress_ahead": Series("Pa", "opening stress in the continuum ahead of the crack"),
     "crack_leg": Series("1", "who carries the crack tip: 0 continuum, 1 atoms, 2 at the far side, 3 continuum beyond"),
     "applied_strain": Series("1", "strain applied by the edges"),
     "edge_force": Series("N", "force of the top edge on the body"),

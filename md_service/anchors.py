@@ -80,10 +80,10 @@ class Anchors:
         return self.kind == PASSIVE
 
     def mean_position(self, window: int, time_step: float) -> NDArray[np.float64]:
-        """Mean over the steps 1 to M of a window that starts with the anchors at `position`, m, shape (k, 3)."""
+        """Mean over a window of M steps that starts with the anchors at `position`, m, shape (k, 3)."""
         if not self.moving:
             return self.position
-        return self.position + self.velocity * (0.5 * (window + 1) * time_step)
+        return self.position + self.velocity * (0.5 * window * time_step)
 
     def end_position(self, window: int, time_step: float) -> NDArray[np.float64]:
         """Where the anchors are after M steps, m, shape (k, 3)."""

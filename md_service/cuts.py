@@ -43,7 +43,7 @@ def above(position: NDArray[np.float64], y: float) -> NDArray[np.bool_]:
 
 
 def crossing(cut: Cut, position: NDArray[np.float64], pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which bonds a line crosses.
+    """Which bonds a line crosses, those at its beginning among them.
 
     Parameters
     ----------
@@ -62,7 +62,8 @@ def crossing(cut: Cut, position: NDArray[np.float64], pairs: NDArray[np.int64]) 
     apart = is_above[pairs[:, 0]] != is_above[pairs[:, 1]]
     fraction = (cut.y - first[:, 1]) / np.where(apart, second[:, 1] - first[:, 1], 1.0)
     x = first[:, 0] + np.clip(fraction, 0.0, 1.0) * (second[:, 0] - first[:, 0])
-    return np.asarray(apart & (x > cut.from_x - _TOUCHING) & (x < cut.to_x + _TOUCHING))
+    # A bond at the very end is of the line that goes on from there.
+    return np.asarray(apart & (x > cut.from_x - _TOUCHING) & (x < cut.to_x - _TOUCHING))
 
 
 def sides(cut: Cut, atoms: Atoms, pairs: NDArray[np.int64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

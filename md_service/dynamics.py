@@ -22,14 +22,19 @@ State = dict[str, NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class Window:
-    """Means over the M steps of a window, steps 1 to M, and the state at its end. SI units.
+    """Means over the M steps of a window, and the state at its end. SI units.
+
+    The means of the anchored atoms follow the trapezoidal rule: the moments at the window's start, with the anchors
+    in their new places, and at its end count half. So the mean force of a spring is what the kicks of a Verlet
+    integrator hand to its atom, step by step; a mean over steps 1 to M is half a step late, and feeds energy into
+    the exchange at any M.
 
     Attributes
     ----------
     mean_position, mean_velocity : ndarray, shape (k, 3)
         Of the anchored atoms, positions not wrapped, m and m/s.
     mean_pair_force : ndarray, shape (k, 3)
-        Mean force that the other atoms exert on each passive atom, N; zero rows for other anchors.
+        Mean force that the other atoms exert on each passive atom, over steps 1 to M, N; zero rows for other anchors.
     position : ndarray, shape (k, 3)
         Of the anchored atoms at the end, m.
     kinetic_handshake, kinetic_inner : float

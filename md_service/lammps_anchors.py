@@ -173,13 +173,14 @@ class LammpsAnchors:
 
     def local_means(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Of this rank's anchored atoms: rows (l,) of the anchors, and mean position and velocity, mean force on
-        passive atoms and position now, (l, 12), in LAMMPS units."""
+        passive atoms, position and velocity now, (l, 15), in LAMMPS units."""
         row = self.row_of_atom[self._system.local_rows()]
         local = np.flatnonzero(row >= 0)
         extract_fix = self._system.session.lmp.numpy.extract_fix
-        means = np.zeros((len(local), 12))
+        means = np.zeros((len(local), 15))
         means[:, :6] = extract_fix("window_mean", 1, 2)[local]
         if self.has_passive:
             means[:, 6:9] = extract_fix("window_force", 1, 2)[local]
-        means[:, 9:] = self._system.local_position()[local]
+        means[:, 9:12] = self._system.local_position()[local]
+        means[:, 12:] = self._system.local("v")[local]
         return row[local], means

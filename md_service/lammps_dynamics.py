@@ -97,7 +97,9 @@ class LammpsDynamics:
         self._needs_setup = True
         self._last_redraw = 0
         self._other_work = 0.0  # J, of dampers' carrying term, passive atoms and redrawn velocities
-        self._end_position: NDArray[np.float64] | None = None  # of the anchored atoms at the last window's end, m
+        # Of the anchored atoms at the last window's end, m and m/s.
+        self._end_position: NDArray[np.float64] | None = None
+        self._end_velocity = np.zeros((0, 3))
         self._end_step = -1
         self._pair_force = np.zeros((0, 3))  # on passive atoms in the last window, N
         self._closed = False
@@ -165,20 +167,23 @@ class LammpsDynamics:
         before = self._end_position
         if self._end_step != self.step or before is None:
             before = self._system.position()[anchors.atom_id]
+            self._end_velocity = self._system.velocity()[anchors.atom_id]
+        speed_before = self._end_velocity
         self._run(window)
         if self._tallied and self._system.session.lmp.extract_global("ntimestep") % self._tally_every == 0:
             self._sample_step = self.step
         # One reduction for everything: means and present positions of the anchored atoms, energies by group.
         n_anchors = len(anchors.atom_id)
-        packed = np.zeros(12 * n_anchors + 6)
+        packed = np.zeros(15 * n_anchors + 6)
         rows, means = links.local_means()
-        packed[:-6].reshape(n_anchors, 12)[rows] = means
+        packed[:-6].reshape(n_anchors, 15)[rows] = means
         packed[-6:-3] = self._system.kinetic_energy(links.group_of_atom, 3)
         packed[-3:] = self._system.local_momentum()
         packed = self._system.ranks.sum(packed)
-        by_anchor = packed[:-6].reshape(n_anchors, 12)
+        by_anchor = packed[:-6].reshape(n_anchors, 15)
         unit = self._system.units
-        self._end_position, self._end_step = by_anchor[:, 9:] * unit.length, self.step
+        self._end_position, self._end_step = by_anchor[:, 9:12] * unit.length, self.step
+        self._end_velocity = by_anchor[:, 12:] * unit.velocity
         # Springs and dampers pull with c - k r, of which gamma v_a is the part that carries the atoms along.
         self._other_work += float(np.sum(anchors.damping[:, None] * anchors.velocity * (self._end_position - before)))
         pair_force = by_anchor[:, 6:9] * unit.force
@@ -189,8 +194,9 @@ class LammpsDynamics:
             self._other_work -= float(np.sum(felt[anchors.passive] * way))
             self._pair_force = pair_force
         return Window(
-            mean_position=by_anchor[:, :3] * unit.length,
-            mean_velocity=by_anchor[:, 3:6] * unit.velocity,
+            # LAMMPS averages over steps 1 to M: half of the last moment makes way for half of the first.
+            mean_position=by_anchor[:, :3] * unit.length - (self._end_position - before) / (2 * window),
+            mean_velocity=by_anchor[:, 3:6] * unit.velocity - (self._end_velocity - speed_before) / (2 * window),
             mean_pair_force=pair_force,
             position=self._end_position,
             kinetic_handshake=float(packed[-5]),

@@ -337,7 +337,7 @@ class AtomisticService(Service):
         if not self._factory.severs:
             trap = f"the forces of the backend {self.backend} cannot be severed along a line"
         if trap:
-            raise ProtocolError("unsupported", trap)
+            raise ProtocolError("unsupported", trap, field="type")
         done = self._call("cut", engine.sever, request.from_x, request.to_x, request.y)
         self._record().sever(engine.cuts)
         return messages.Severed(step=engine.step, bonds=done.bonds, energy=done.energy)

@@ -225,12 +225,15 @@ class VelocityVerlet:
         sums = np.zeros((2, len(rows), 3))
         pair_force = np.zeros((len(rows), 3))
         # Offsets from the start: a long sum of positions would lose digits that the reaction needs.
-        start = self._position[rows]
+        start, start_velocity = self._position[rows], self._velocity[rows]
         for _ in range(window):
             self._advance()
             tally(self._position, self._velocity, rows, start, sums)
             if len(passive):
                 pair_force[self._passive] += self._pair_forces()[passive]
+        # The first and the last moment count half, as the integrator's kicks weigh them.
+        sums[0] -= 0.5 * (self._position[rows] - start)
+        sums[1] -= 0.5 * (self._velocity[rows] - start_velocity)
         kinetic = 0.5 * self._mass * np.einsum("ij,ij->i", self._velocity, self._velocity)
         handshake = float(kinetic[rows[self._free[rows]]].sum())
         return Window(

@@ -119,7 +119,7 @@ class LinearElastic(Material):
         """Half of stress times strain times reference volume [J], (n,)."""
         strain = self._strain(rows)
         volume = reference_volume(rows, 3 if self.assumption == "three_dimensional" else 2)
-        return 0.5 * volume * np.einsum("ni,ij,nj->n", strain, self.stiffness, strain)
+        return 0.5 * volume * np.einsum("ni,ni->n", strain @ self.stiffness, strain)
 
     def thickness_stretch(self, rows: FloatArray, ids: IdArray, history: FloatArray) -> FloatArray:
         """Current over reference thickness, (n,)."""

@@ -88,6 +88,19 @@ def halfway(listed: IntArray, momentum: FloatArray, motion: FloatArray, keep: fl
 
 
 @njit(cache=True, nogil=True)
+def force_power(listed: IntArray, momentum: FloatArray) -> float:
+    """Power of the forces on the nodes [W]."""
+    dim = (momentum.shape[1] - 1) // 2
+    power = 0.0
+    for i in range(listed.size):
+        n = listed[i]
+        if momentum[n, 0] > 0.0:
+            for a in range(dim):
+                power += momentum[n, 1 + a] * momentum[n, 1 + dim + a] / momentum[n, 0]
+    return power
+
+
+@njit(cache=True, nogil=True)
 def filter_step(
     listed: IntArray, momentum: FloatArray, start: FloatArray, returned: FloatArray, field: FloatArray
 ) -> None:

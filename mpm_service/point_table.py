@@ -92,6 +92,13 @@ class PointTable:
             answer[mine] = getattr(material, function)(np.ascontiguousarray(rows[mine]), ids[mine], history)
         return answer
 
+    def total(self, function: str, alive: int) -> float:
+        """Sum of a quantity that the materials tell over the first rows, which live; `by_material` has the parts."""
+        if len(self.materials) > 1:
+            return float(np.sum(self.by_material(function)[self.points.ids[:alive]]))
+        rows, ids = self.points.rows[:alive], self.points.ids[:alive]
+        return float(np.sum(getattr(self.materials[0], function)(rows, ids, self.histories[0])))
+
     def replace_by_four(self, parent: IntArray, children: FloatArray, offset: FloatArray, alive: int) -> None:
         """Put four children in the place of each parent; child 0 has its row and id.
 

@@ -101,6 +101,8 @@ class Edges:
         self.loads: list[Load] = []
         #: Row of the condition, or None, and nominal force over time, or None, of each entry.
         self._entries: list[tuple[int | None, tuple[float, Constant | Table] | None]] = []
+        #: Largest displacement by a field at any time [m].
+        self.farthest = 0.0
         #: Mean normal displacement of a face by a field at a factor of 1 [m], by condition.
         self._mean: dict[int, float] = {}
         for number, edge in enumerate(edges):
@@ -129,23 +131,15 @@ class Edges:
                 field = crack_tip_field(edge.field, material, f"edges.{number}.field")
                 factor = _over_time(edge.times, edge.factors, frozen)
                 condition = len(self.conditions) + axis
-                self.conditions += [FieldCondition(edge.edge, component, field, factor) for component in (0, 1)]
-                moved = self.conditions[condition]
-                assert isinstance(moved, FieldCondition)
-                self._mean[condition] = float(moved.along_face(lower, upper).mean())
+                faces = [FieldCondition(edge.edge, component, field, factor) for component in (0, 1)]
+                moved = [face.along_face(lower, upper) for face in faces]
+                self.conditions += faces
+                self._mean[condition] = float(moved[axis].mean())
+                self.farthest = max(self.farthest, float(np.abs(moved).max() * np.abs(edge.factors).max()))
             else:
                 condition = len(self.conditions)
                 self.conditions.append(_condition(edge, frozen))
             self._entries.append((condition, nominal))
-
-    def farthest(self, lower: Sequence[float], upper: Sequence[float]) -> float:
-        """Return the largest displacement by a field at any time [m]."""
-        fields = [c for c in self.conditions if isinstance(c, FieldCondition)]
-        most = (
-            np.abs(c.along_face(lower, upper)).max() * np.abs(getattr(c.factor, "values", c.factor(np.zeros(1)))).max()
-            for c in fields
-        )
-        return float(max(most, default=0.0))
 
     def state(self, reaction: FloatArray, time: float) -> tuple[FloatArray, FloatArray]:
         """Return force on the body [N] and prescribed displacement [m] of each entry.
@@ -276,8 +270,7 @@ def _fill(request: messages.ContinuumConfigure, edges: Edges) -> tuple[Grid | Hi
     lower, upper = request.body.lower, request.body.upper
     size = np.subtract(upper, lower)
     moves = [abs(value) for edge in request.edges for value in getattr(edge, "displacements", ())]
-    moves += [edges.farthest(lower, upper)]
-    margin = MARGIN_CELLS + int(np.ceil(max(moves, default=0.0) / request.cell_size))
+    margin = MARGIN_CELLS + int(np.ceil(max([edges.farthest, *moves]) / request.cell_size))
     cells = np.round(size / request.cell_size).astype(int) + 2 * margin
     origin = np.asarray(request.body.lower) - margin * request.cell_size
     uniform = Grid(tuple(origin), request.cell_size, (int(cells[0]), int(cells[1])))

@@ -26,6 +26,7 @@ from .reference_step import ReferenceStep
 from .scheme import Scheme
 from .set_up import check_cells, check_set_up, checked_array
 from .solver import Energies
+from .time_integration import STRESS_LEAD
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -156,10 +157,11 @@ class ReferenceSolver:
     def energies(self) -> Energies:
         """Energies now and work so far [J]."""
         alive, kinetic = self.points.alive, self._run.kinetic_energy
+        lag = STRESS_LEAD[self.scheme.integration] * self.time_step * self._run.stress_power(self._step)
         edge_work, interface_work, damping_loss, unfiltered = (float(value) for value in self._run.totals)
         return Energies(
             kinetic,
-            float(np.sum(self.points.strain_energy[alive])),
+            float(np.sum(self.points.strain_energy[alive])) + lag,
             edge_work,
             interface_work,
             0.0,
@@ -186,8 +188,8 @@ class ReferenceSolver:
 
     # ---- coupling ----------------------------------------------------------------------------------
 
-    def register_anchors(self, position: ArrayLike, ivc: ArrayLike) -> None:
-        """Place massless anchors at reference positions (n, d) [m] before the first step.
+    def register_anchors(self, position: ArrayLike, ivc: ArrayLike, displacement: ArrayLike | None = None) -> None:
+        """Place massless anchors at reference positions (n, d) plus displacements [m] before the first step.
 
         Raises
         ------
@@ -201,10 +203,12 @@ class ReferenceSolver:
             raise ValueError(f"ivc[{int(cell.argmin())}] = {int(cell.min())}: must not be negative")
         if self._cells:
             check_cells(cell, self._cells)
-        self._run.place_anchors(place)
+        moved = np.zeros_like(place) if displacement is None else displacement
+        moved = checked_array("displacement", moved, place.shape)
+        self._run.place_anchors(place, moved)
         lonely = self._run.lonely_anchors()
         if lonely.size:
-            self._run.place_anchors(place[:0])
+            self._run.place_anchors(place[:0], place[:0])
             raise ValueError(
                 f"position[{lonely[0]}] = {tuple(place[lonely[0]].tolist())} m: no material point reaches the cell of "
                 f"this anchor ({lonely.size} such anchors)"

@@ -98,18 +98,26 @@ class ReferenceStep:
         self.travel = 0.0
         self.totals = np.zeros(4)
         self.reaction = np.zeros(len(edges))
-        self.place_anchors(np.zeros((0, d)))
+        self.place_anchors(np.zeros((0, d)), np.zeros((0, d)))
 
-    def place_anchors(self, position: FloatArray) -> None:
-        """Take anchors at reference places (n, d) [m]."""
+    def place_anchors(self, position: FloatArray, displacement: FloatArray) -> None:
+        """Take anchors at reference places (n, d) with the displacements that they have already [m]."""
         self.anchor = position
-        self.anchor_displacement, self.anchor_velocity = np.zeros_like(position), np.zeros_like(position)
+        self.anchor_displacement, self.anchor_velocity = displacement.copy(), np.zeros_like(position)
 
     def lonely_anchors(self) -> IntArray:
         """Numbers of anchors that no material reaches at step 0."""
         self.cracks.follow(self.positions_by_id())
         nodes = self._gather(self._edge_motion(0)[2])
         return np.flatnonzero(self._anchor_reader(nodes.mass).sum(axis=1) == 0.0)
+
+    def stress_power(self, number: int) -> float:
+        """Power of the internal forces on the nodes' velocities before step `number` [W]."""
+        if self.travel > TRAVEL * self.grid.cell_size:
+            self._drop_lost()
+        self.cracks.follow(self.positions_by_id())
+        nodes = self._gather(self._edge_motion(number)[2])
+        return -float(np.sum(self._stress_divergence(nodes) * nodes.velocity))
 
     def advance(self, number: int, push: FloatArray, pull: FloatArray) -> None:
         """Make the step from `number` to `number` + 1.

@@ -8,10 +8,13 @@ from typing import ClassVar, cast
 
 import numpy as np
 
+from mpm_service.conditions import Approach
 from mpm_service.crack_reports import RULES, CrackReports
 from mpm_service.cracks import MOST_CRACKS
+from mpm_service.damping import Relaxation as Relaxed
 from mpm_service.damping import relax
 from mpm_service.errors import SolverError
+from mpm_service.k_field import CrackTipField
 from mpm_service.material import Material
 from mpm_service.problem import (
     CONFIGURE_NAMES,
@@ -19,12 +22,14 @@ from mpm_service.problem import (
     Edges,
     SolverMaker,
     bad_field,
+    crack_tip_field,
     levels_of,
     make_material,
     make_solver,
 )
 from mpm_service.reference import ReferenceSolver
 from mpm_service.solver import MaterialPointSolver
+from mpm_service.static_solution import Equilibrium
 from protocol import continuum as messages
 from protocol.arrays import FloatArray, IntArray
 from protocol.errors import ProtocolError
@@ -55,7 +60,15 @@ class MaterialPointService(Service):
 
     #: Makes the solver; what follows is what that one can do.
     solver: ClassVar[SolverMaker] = MaterialPointSolver
-    edge_kinds: ClassVar[list[str]] = ["displacement", "velocity", "symmetry", "traction", "pressure", "absorbing"]
+    edge_kinds: ClassVar[list[str]] = [
+        "displacement",
+        "velocity",
+        "symmetry",
+        "traction",
+        "pressure",
+        "absorbing",
+        "k_field",
+    ]
     contacts: ClassVar[list[str]] = ["frictionless", "stick", "coulomb"]
     growth_rules: ClassVar[list[str]] = list(RULES)
     operations: ClassVar[list[str]] = ["extend_crack"]
@@ -69,7 +82,7 @@ class MaterialPointService(Service):
     def __init__(self) -> None:
         super().__init__()
         self._solver: MaterialPointSolver | None = None
-        self._edges = Edges([], 1.0, (0.0, 0.0), frozen=True)
+        self._edges = Edges([], 1.0, (0.0, 0.0), (0.0, 0.0), frozen=True)
         self._cracks: CrackReports | None = None
         self._stop_on_loss = False
         self._registered = NOTHING_REGISTERED
@@ -112,7 +125,7 @@ class MaterialPointService(Service):
             for name in ("growth", "measure_every"):
                 if getattr(crack, name) and not self.growth_rules:
                     yield f"cracks.{k}.{name}", "measurement of crack tips"
-        for name in ("body_force", "preload"):
+        for name in ("body_force", "preload", "initial_field"):
             if getattr(request, name) is not None and not self.loads:
                 yield name, f"a {name.replace('_', ' ')}"
 
@@ -129,7 +142,7 @@ class MaterialPointService(Service):
         try:
             solver, edges = make_solver(request, material, type(self).solver)
             cracks = CrackReports(solver, request)
-            relaxation = self._preload(request, material, solver) if request.preload else None
+            relaxation, probed = self._start(request, material, solver)
         except SolverError as error:
             raise ProtocolError("solver_failed", f"preload: {error}", step=error.step) from error
         except ValueError as error:
@@ -145,34 +158,64 @@ class MaterialPointService(Service):
             relaxation=relaxation,
             position=_with_z(solver.points.reference_position),
             weight=solver.points.weight,
+            probe_displacement=None if probed is None else _with_z(probed),
         )
 
-    def _preload(
+    def _start(
         self, request: messages.ContinuumConfigure, material: Material, solver: MaterialPointSolver
-    ) -> messages.Relaxation:
-        """Relax a body alike under the loads of time zero, and let the solver start from its state."""
-        assert request.preload is not None
-        still, _ = make_solver(request, material, type(self).solver, frozen=True)
-        most = request.preload.max_steps
-        relaxed = relax(_Told(still, self.activity, most), request.preload.tolerance, most)
-        state = still.state()
-        state["step"][:] = 0
-        state["totals"][:] = 0.0
-        solver.restore(state)
+    ) -> tuple[messages.Relaxation | None, FloatArray | None]:
+        """Give the points the state that the request asks for; returns how a preload ended, and displaced probes."""
+        given = request.initial_field
+        field = None if given is None else crack_tip_field(given, material, "initial_field")
+        probes = None
+        if request.probe_position is not None:
+            probes = _inside(solver, "probe_position", request.probe_position)
+        moved = None if probes is None else field.displacement(probes) if field else np.zeros_like(probes)
+        relaxation = None
+        if request.preload is not None:
+            relaxation, moved = self._preload(request, material, solver, field, probes, moved)
+        elif field is not None:
+            _deform(solver, field)
         gradient = request.initial_velocity_gradient
-        if gradient is not None:
+        if gradient is not None and (relaxation is not None or field is not None):
             solver.set_velocity(solver.points.reference_position @ np.reshape(gradient, (2, 2)).T)
-        return messages.Relaxation(residual=relaxed.residual, steps=relaxed.steps, converged=relaxed.converged)
+        return relaxation, moved
+
+    def _preload(
+        self,
+        request: messages.ContinuumConfigure,
+        material: Material,
+        solver: MaterialPointSolver,
+        field: CrackTipField | None,
+        probes: FloatArray | None,
+        moved: FloatArray | None,
+    ) -> tuple[messages.Relaxation, FloatArray | None]:
+        """Bring the whole body to rest under the loads of time zero, and let the solver start from its state."""
+        assert request.preload is not None
+        size = float(np.subtract(request.body.upper, request.body.lower).max())
+        crossing = int(np.ceil(size / (material.pressure_wave_speed * request.time_step)))
+        still, _ = make_solver(request, material, type(self).solver, Approach(crossing, field))
+        if field is not None:
+            _deform(still, field)
+        if probes is not None:
+            try:
+                still.register_anchors(probes, np.zeros(len(probes), dtype=np.int64), moved)
+            except ValueError as error:
+                raise bad_field(error, {"position": "probe_position"}) from None
+        tolerance, most = request.preload.tolerance, request.preload.max_steps
+        ended: Equilibrium | Relaxed
+        if request.preload.method == "static":
+            ended = still.equilibrate(tolerance, most, lambda done: self.activity.progress(done, most, "solving"))
+        else:
+            ended = relax(_Told(still, self.activity, most), tolerance, most)
+        solver.start_from(still)
+        relaxation = messages.Relaxation(residual=ended.residual, steps=ended.steps, converged=ended.converged)
+        return relaxation, None if probes is None else still.anchor_displacement
 
     def register(self, request: messages.ContinuumRegister) -> messages.ContinuumRegistered:
         """Place anchors and interface volume cells; where one is refused, both stay as they were."""
         solver = self._configured()
-        place = _flat(request.anchor_position)
-        outside = np.flatnonzero(np.any((place < solver.body.lower) | (place > solver.body.upper), axis=1))
-        if outside.size:
-            row = int(outside[0])
-            sentence = f"anchor_position row {row} ({place[row, 0]:.9g}, {place[row, 1]:.9g}) m lies outside the body"
-            raise ProtocolError("bad_field", sentence, field="anchor_position")
+        _inside(solver, "anchor_position", request.anchor_position)
         try:
             found = _place(solver, request)
         except ValueError as error:
@@ -352,9 +395,27 @@ class _Told:
         self._solver.stop()
 
 
+def _inside(solver: MaterialPointSolver, name: str, position: FloatArray) -> FloatArray:
+    """Return x and y of places, which must lie in the body."""
+    place = _flat(position)
+    outside = np.flatnonzero(np.any((place < solver.body.lower) | (place > solver.body.upper), axis=1))
+    if outside.size:
+        row = int(outside[0])
+        sentence = f"{name} row {row} ({place[row, 0]:.9g}, {place[row, 1]:.9g}) m lies outside the body"
+        raise ProtocolError("bad_field", sentence, field=name)
+    return place
+
+
+def _deform(solver: MaterialPointSolver, field: CrackTipField) -> None:
+    """Give the points displacement, gradient and stress of a field."""
+    place = solver.points.reference_position
+    solver.deform(field.displacement(place), field.gradient(place))
+
+
 def _place(solver: MaterialPointSolver, request: messages.ContinuumRegister) -> IntArray:
     """Register anchors and cells, return the number of points in each cell."""
-    solver.register_anchors(_flat(request.anchor_position), request.anchor_ivc)
+    moved = request.anchor_displacement
+    solver.register_anchors(_flat(request.anchor_position), request.anchor_ivc, None if moved is None else _flat(moved))
     found = solver.register_interface_cells(_flat(request.ivc_lower), _flat(request.ivc_upper))
     return np.asarray(found, dtype=np.int64)
 

@@ -36,6 +36,7 @@ from .time_integration import TimeIntegration
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 # Stiffness that stands in for supports, over the largest of a node.
 _SUPPORT = 1e-8
@@ -134,6 +135,7 @@ class StaticSolution:
             momentum[rows, 0],
             internal[rows].ravel(),
             (momentum[rows, pull] - internal[rows]).ravel(),
+            (rows >= mapping.levels.offset[-2]) & (rows < mapping.levels.offset[-1]),
             run.boundary.constraints(momentum),
         )
 
@@ -165,12 +167,17 @@ class StaticSolution:
         share = min(1.0, _LARGEST_GRADIENT / max(float(np.abs(steep).max()), 1e-300))
         motion[rows, :dimension] *= share
         extent = float(np.max(mapping.grids[0].upper - mapping.grids[0].lower))
-        moved = mapping.update_deform(motion, 1.0, 1.0, run.stress)
-        if not moved < extent:
+        if not mapping.update_deform(motion, 1.0, 1.0, run.stress) < extent:
+            c = mapping.columns
+            way = np.abs(mapping.points.rows[: mapping.alive, c.increment : c.increment + dimension]).max(axis=1)
+            row = int(np.argmax(np.nan_to_num(way, nan=np.inf)))
+            point, place = int(mapping.points.ids[row]), self._table.reference[mapping.points.ids[row]]
             raise SolverError(
-                f"iteration {done}: points move by {moved:.4g} m, which is beyond the grid: nothing holds the body "
-                "against its loads, or they are far too large",
+                f"iteration {done}: material point {point} moves by {way[row]:.4g} m, beyond the grid; nothing holds "
+                "the body against its loads, or they are far too large",
                 done,
+                point,
+                tuple(place.tolist()),
             )
         self._anchors.follow(motion, 1.0)
         self._anchors.velocity[:] = 0.0
@@ -198,11 +205,13 @@ class _System:
         mass: FloatArray,
         internal: FloatArray,
         external: FloatArray,
+        centre: BoolArray,
         held: Constraints,
     ) -> None:
         self.rows, self.number = rows, number
         dimension = internal.size // max(rows.size, 1)
         self._mass = np.repeat(mass, dimension)
+        self._centre = np.repeat(centre, dimension)
         self._force = internal + external
         follower = dimension * number[held.node] + held.component
         self._offset = np.zeros(internal.size)
@@ -222,6 +231,9 @@ class _System:
                 shape=(internal.size, own.size),
             )
         )
+        component = own % dimension
+        self._loose = [component == a for a in range(dimension) if not np.any(held.component == a)]
+        self._own = own
         reaction = (1.0 - held.ratio) * self._force[follower]
         scale = max(float(np.linalg.norm(part)) for part in (internal, external, reaction))
         self.residual = float(np.linalg.norm(self._free.T @ self._force)) / scale if scale > 0.0 else 0.0
@@ -233,11 +245,20 @@ class _System:
         stiff = matrix.diagonal()
         kept = stiff > _LEAST_STIFFNESS * stiff.max(initial=0.0)
         pull = (free.T @ (self._force - stiffness @ self._offset))[kept]
-        support = _SUPPORT * stiff.max(initial=0.0) / self._mass.sum() * (free.T @ diags(self._mass) @ free).diagonal()
+        mass = (free.T @ diags(self._mass) @ free).diagonal()
+        # What the components that are left out bear would let a body that nothing holds drift, a little in each
+        # iteration: it is spread over the mass.
+        for loose in self._loose:
+            mine = loose[kept]
+            pull[mine] -= mass[kept][mine] * (pull[mine].sum() / mass[kept][mine].sum())
+        support = _SUPPORT * stiff.max(initial=0.0) / mass.sum() * mass
         matrix = matrix[kept][:, kept] + diags(support[kept])
         scale = 1.0 / np.sqrt(stiff[kept] + support[kept])
         scaled = (diags(scale) @ matrix @ diags(scale)).tocsc()
         factors = splu(scaled, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
         found = np.zeros(kept.size)
         found[kept] = scale * factors.solve(scale * pull)
+        for loose in self._loose:
+            mine = loose & kept & self._centre[self._own]
+            found[loose] -= np.average(found[mine], weights=mass[mine])
         return np.asarray(free @ found + self._offset)

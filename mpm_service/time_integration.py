@@ -19,6 +19,22 @@ a = `STRAIN_SHARE`: on a uniform lattice with two points a cell waves of number 
 ``omega^2 = c^2 k^2 (1 + k^2 h^2 (-1/12 + 3 a/16 + (c dt/h)^2 / 12))``, so a = 0 leaves ripples behind a front and
 a = 1 sends them ahead of it. Filtering v_new itself, without mapping it again, would do the same to long waves, but
 it amplifies the shortest ones, which the mapping suppresses: it is unstable from a Courant number of about 0.4.
+
+Energy. With K the kinetic energy of the points and the sums over nodes, a step of any scheme keeps the account
+
+    K_after = K_before + dt sum (f_int + f_ext) (v_old + v_new)/2 + edge work - damping loss - filter loss
+
+to round-off: the change of the nodes' kinetic energy is the work of their forces and impulses with the mean of old
+and new velocity, and the filter loss is what is left. It holds the way to the nodes and back: K_before less the energy
+of v_old, and the energy of v_new less K_after. All works are booked in this way.
+
+What is not of this account is that strain energy grows by the velocities of the strain update. With T = S+ S these are
+``T Q v_new`` or, for FMPM, ``(1 + a (1 - T))`` times that. The sum of all energies and works then
+
+- swings by ``a (1 - T)``, 0.13 (k h)^2, of the strain energy of a wave of number k with FMPM(2), whatever dt is;
+- grows by ``dt^2/4 sum m a (1 - T)^2 a`` a step with FMPM(2), a the nodes' acceleration, which is of the order of dt
+  and comes from face nodes and the shortest waves; by ``dt^2/2 sum m a (1 - T) a`` with FLIP and MUSL or USF, which is
+  all of its filter loss: what the points lose there, their strain energy gets.
 """
 
 from __future__ import annotations
@@ -35,13 +51,15 @@ from .boundary_set import BoundarySet
 from .cracks import CrackSet
 from .damping import Damping, ForceBalance, damp_points, scale_forces
 from .mapping import TRAVEL, Mapping
-from .scheme import Scheme
+from .scheme import Integration, Scheme
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 #: Share of the filtered velocity in the strain update of FMPM(k > 1).
 STRAIN_SHARE = 0.7
+#: How far ahead of the time of the velocities the stresses are between two steps [steps].
+STRESS_LEAD: dict[Integration, float] = {"usf": -0.5, "usl": 0.5, "musl": 0.5, "usavg": 0.0}
 
 
 class Nodes(NamedTuple):
@@ -163,13 +181,19 @@ class TimeIntegration:
             self.nodes = Nodes.zeros(self.cracks.row_count, self.mapping.columns.dimension)
             self.mapping.make_room(self.cracks.row_count)
 
-    def gather_mass(self) -> None:
-        """Bring nodal masses up to date outside a step."""
+    def gather_state(self) -> None:
+        """Bring nodal masses, momenta and internal forces up to date outside a step."""
         if self.cracks is not None:
             self.cracks.follow()
         self.mapping.tabulate(0)
         node_kernels.clear(self.mapping.active, self.nodes.momentum)
         self.mapping.scatter_state(self.nodes.momentum)
+
+    def stress_power(self) -> float:
+        """Power of the internal forces on the nodes' velocities as they are between two steps [W]."""
+        self.gather_state()
+        node_kernels.drop_slivers(self.mapping.active, self.nodes.momentum, self.least_mass)
+        return float(node_kernels.force_power(self.mapping.active, self.nodes.momentum))
 
     def step(self, number: int) -> None:
         """Make the step from `number` to `number` + 1; sets `largest_increment` [m].

@@ -277,7 +277,12 @@ class AtomisticAdvance(Message):
 
 
 class AtomisticAdvanced(Message):
-    """Averages over the window (Eq 87) and the state at its end. Forces act on the continuum."""
+    """Averages over the window (Eq 87) and the state at its end. Forces act on the continuum.
+
+    A mean counts the moments at the window's start (with the anchors in their new places) and at its end by half, as a
+    Verlet integrator's kicks do: it is the impulse on the atoms over the window's length. A mean over steps 1 to M is
+    half a step late, and feeds energy into the exchange.
+    """
 
     step: Natural = Field(description="step counter of the solver")
     anchor_force: Annotated[FloatArray, ArraySpec("<f8", ("anchors", 3), "N")] = Field(

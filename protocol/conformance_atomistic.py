@@ -9,16 +9,17 @@ from typing import Any
 import numpy as np
 
 from protocol import atomistic as a
+from protocol.conformance_coupling import CouplingChecks
 from protocol.conformance_kit import NotTried
 from protocol.conformance_probe import Refuted, error_report, expect_error, read_reply
 from protocol.conformance_problems import STEPS, Problem, Requests, Wrong
-from protocol.conformance_solver import REFUSED, SolverChecks
+from protocol.conformance_solver import REFUSED
 from protocol.messages import FieldsReply, FieldsRequest, Message, Welcome
 from protocol.version import Version
 
 _ATOMIC_MASS = 1.66053906892e-27  # kg
 _ANGSTROM = 1e-10
-_SINCE = Version(1, 2)
+_SINCE, _COUPLING = Version(1, 2), Version(1, 3)
 #: Columns of the arrays of `grid_fields`; without entry there are none.
 _GRID_COLUMNS = {"velocity": 3, "displacement": 3, "stress": 6}
 
@@ -239,7 +240,7 @@ def data_file(built: a.AtomisticConfigured) -> np.ndarray:
     return np.frombuffer("\n".join(lines).encode(), np.uint8)
 
 
-class AtomisticChecks(SolverChecks):
+class AtomisticChecks(CouplingChecks):
     """Checks of what only the role `atomistic` has."""
 
     def _atomistic(self, problem: Problem) -> None:
@@ -247,6 +248,9 @@ class AtomisticChecks(SolverChecks):
         if self._welcome.role != "atomistic" or Version(*self._welcome.version) < _SINCE:
             return
         self._check("file: a sample comes back as it was sent", lambda: self._sample_from_file(problem))
+        if Version(*self._welcome.version) >= _COUPLING:
+            self._check("momentum: is that of the velocities", lambda: self._momentum(problem))
+            self._check("keep: atoms outside of a polygon are left out", lambda: self._keep(problem))
         offered = self._welcome.capabilities.get("operations", [])
         for name in (name for name, operation in self._role.operations.items() if operation.optional):
             if isinstance(offered, list) and name in offered:

@@ -436,8 +436,10 @@ class ContinuumEvent(Part):
 
     added_in = _V1_1
 
-    kind: str = Field(description="`growth`, `arrest` or `points_lost`; newer versions may add others")
+    kind: str = Field(
+        description="`growth`, `arrest`, `reached_overlap` or `points_lost`; newer versions may add others"
+    )
     step: Natural = Field(description="steps since `configure` when it happened")
     sentence: str = Field(description="what happened, for people")
     count: Natural | None = Field(default=None, description="`points_lost`: how many")
-    tip: CrackTip | None = Field(default=None, description="`growth`, `arrest`: the tip after it")
+    tip: CrackTip | None = Field(default=None, description="`growth`, `arrest`, `reached_overlap`: the tip after it")

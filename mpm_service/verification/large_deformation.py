@@ -173,6 +173,7 @@ def run_tensile_bar(
     grid = Grid((-4.0, -4.0), 1.0, (int(np.ceil(LONG * stretch)) + 10, ACROSS + 8))
     travel = (stretch - 1.0) * LONG
     duration = travel / (rate * BAR.pressure_wave_speed)
+    pulled = EdgeCondition("right", 0, displacements=Ramp(duration, travel, smooth=True))
     solver = MaterialPointSolver(
         grid,
         body,
@@ -182,7 +183,7 @@ def run_tensile_bar(
         edge_conditions=(
             symmetry("left"),
             symmetry("bottom"),
-            EdgeCondition("right", 0, displacements=Ramp(duration, travel, smooth=True)),
+            pulled,
         ),
         damping=0.3 * BAR.pressure_wave_speed / LONG,
         scheme=scheme,
@@ -192,7 +193,7 @@ def run_tensile_bar(
     for part in range(1, 31):
         solver.advance(steps * part // 30 - solver.step)
         x = solver.points.position
-        stretches.append(float(solver.edge_conditions[2].displacement(np.array([solver.time]))[0]) / LONG + 1.0)
+        stretches.append(float(pulled.displacement(np.array([solver.time]))[0]) / LONG + 1.0)
         stresses.append(float(solver.points.stress[:, 0].mean()))
     exact, _ = uniaxial_stress(BAR, stretch)
     first = body.position

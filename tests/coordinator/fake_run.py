@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from coordinator.interface import build_interface
 from coordinator.results import Results, ResultsWriter
+from coordinator.ring import rectangle_ring
 from coordinator.scene import Scene, load_scene
 from coordinator.summary import Summary, WallTime, measures_of
-from protocol.continuum import Rectangle
 
 Array = NDArray[np.float64]
 SCENES = Path(__file__).parents[2] / "scenes"
@@ -114,9 +114,9 @@ def write_fake_run(
     corners = scene.overlap()
     if scene.atomistic is not None and scene.handshake is not None and corners is not None:
         atoms = graphene(scene)
-        inner, outer = (Rectangle(lower=low, upper=high) for low, high in corners)
         tip_y = scene.crack.y if scene.crack else None
-        interface = build_interface(atoms, inner, outer, 0.2, scene.handshake.ivc_size, tip_y)
+        ring = rectangle_ring(corners[0], *np.array(corners[1]), list(scene.handshake.sides))
+        interface = build_interface(atoms, ring, scene.handshake.ivc_size, tip_y)
         count = len(atoms)
         writer.atoms(np.arange(1, count + 1), np.full(count, 6), np.full(count, 1.9944e-26), atoms)
         writer.interface(

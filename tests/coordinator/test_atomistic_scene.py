@@ -16,11 +16,13 @@ from coordinator.atomistic_request import (
     grid_request,
     register_request,
 )
+from coordinator.frame import Frame
 from coordinator.handshake import HandshakeError
 from coordinator.interface import build_interface
-from coordinator.scene import Scene, SceneError, load_scene, read_resolved
+from coordinator.region import Region
+from coordinator.ring import rectangle_ring
+from coordinator.scene import Place, Scene, SceneError, load_scene, read_resolved
 from protocol import atomistic as a
-from protocol.continuum import Rectangle
 from protocol.errors import ProtocolError
 from protocol.messages import FieldsReply, newer_fields
 from protocol.version import Version
@@ -50,7 +52,7 @@ def said(*overrides: str, name: str = "graphene_crack") -> str:
 def test_scenes_of_version_1_1_ask_for_nothing_newer(name: str) -> None:
     """Without the new keys a service of an older protocol gets what it always got."""
     scene = scene_of(name=name)
-    requests = [configure_request(scene, None), equilibrate_request(scene)]
+    requests = [configure_request(scene, Frame(), None, []), equilibrate_request(scene)]
     assert [newer_fields(request, Version(1, 0)) for request in requests] == [[], []]
     configure = requests[0]
     assert isinstance(configure, a.AtomisticConfigure) and configure.sample is not None
@@ -64,7 +66,7 @@ def test_every_key_reaches_its_request() -> None:
         "atomistic.ensemble.pressure=1 MPa", "handshake.motion=linear", *J, *FIELDS,
         'atomistic.fields.atoms=["stress", "displacement"]',
     )  # fmt: skip
-    configure = configure_request(scene, 1.4 * A)
+    configure = configure_request(scene, Frame(), 1.4 * A, [])
     assert configure.sample is not None
     assert (configure.sample.layers, configure.sample.orientation) == (2, "armchair")
     assert configure.sample.lattice_constant == 1.4 * A and configure.sample.crack == a.CrackCut(tip_x=0.0, y=0.0)
@@ -109,12 +111,13 @@ def test_a_sample_in_a_file_is_sent_from_beside_the_scene(tmp_path: Path) -> Non
         tmp_path / "own.toml",
         ["atomistic.sample=sheet.data.gz", "atomistic.commands.unit_style=metal", lines, *MATERIAL],
     )
-    request = configure_request(scene, None)
+    request = configure_request(scene, Frame(), None, [])
     assert request.sample is None and request.sample_data is not None
     assert request.sample_data.tobytes() == b"\x1f\x8b and so on"
     assert request.sample_file == a.SampleFile(crack=a.CrackCut(tip_x=0.0, y=0.0))
     assert request.commands is not None and request.commands.commands[0] == "pair_style tersoff"
-    held = configure_request(scene_of("atomistic.sample=epoxy", "atomistic.periodic_z=true", *MATERIAL), None)
+    named = scene_of("atomistic.sample=epoxy", "atomistic.periodic_z=true", *MATERIAL)
+    held = configure_request(named, Frame(), None, [])
     assert held.sample_file is not None and held.sample_data is None
     assert (held.sample_file.name, held.sample_file.periodic_z) == ("epoxy", True)
 
@@ -133,10 +136,11 @@ def test_the_sample_of_a_file_must_be_what_the_scene_says() -> None:
 def test_the_outermost_atoms_become_passive_or_surface_atoms() -> None:
     x = np.arange(-20, 21) * 1.0 * A
     atoms = np.column_stack([grid.ravel() for grid in np.meshgrid(x, x)] + [np.zeros(x.size**2)])
-    inner = Rectangle(lower=(-10 * A, -10 * A), upper=(10 * A, 10 * A))
-    outer = Rectangle(lower=(-20 * A, -20 * A), upper=(20 * A, 20 * A))
+    half = np.array([20 * A, 20 * A])
+    inner = ((-10 * A, -10 * A), (10 * A, 10 * A))
+    ring = rectangle_ring(inner, -half, half, ["left", "right", "bottom", "top"])
     for widths, kind in (((2.5 * A, 0.0), a.PASSIVE), ((0.0, 2.5 * A), a.SURFACE)):
-        interface = build_interface(atoms, inner, outer, 0.5, 5 * A, None, *widths)
+        interface = build_interface(atoms, ring, 5 * A, None, *widths)
         depth = 20 * A - np.abs(atoms[interface.anchor, :2]).max(axis=1)
         assert np.array_equal(interface.anchor_kind == kind, depth < 2.5 * A)
         assert set(interface.anchor_kind) == {a.SPRING, kind}
@@ -146,7 +150,7 @@ def test_the_outermost_atoms_become_passive_or_surface_atoms() -> None:
         handshake = scene_of().handshake
         assert handshake is not None
         ids = np.arange(len(atoms)) + 7
-        request = register_request(handshake, ids, atoms[interface.anchor], interface, stiffness)
+        request = register_request(handshake, ids, atoms[interface.anchor], interface, stiffness, stiffness)
         assert request.anchor_kind is not None and np.array_equal(request.anchor_kind, interface.anchor_kind)
         assert np.array_equal(request.atom_id, interface.anchor + 7)
 
@@ -188,9 +192,16 @@ class Service:
         )  # fmt: skip
 
 
-def measurements(service: Service, *overrides: str) -> AtomMeasurements:
+def region_of(service: Service) -> Region:
+    """A region around the origin, whose atoms span 100 A."""
     client: Any = service
-    return AtomMeasurements(scene_of(*J, *overrides), client, np.array([[-50.0, -50, 0], [50, 50, 0]]) * A)
+    region = Region(scene_of(), Place(name="atomistic"), client)
+    region.own_reference = np.array([[-50.0, -50, 0], [50, 50, 0]]) * A
+    return region
+
+
+def measurements(service: Service, *overrides: str) -> AtomMeasurements:
+    return AtomMeasurements(scene_of(*J, *overrides), region_of(service))
 
 
 def test_j_and_fields_are_taken_when_they_are_due() -> None:
@@ -214,10 +225,7 @@ def test_j_and_fields_are_taken_when_they_are_due() -> None:
 
 def test_without_j_the_average_of_fields_begins_anew_after_each_frame() -> None:
     service = Service([])
-    client: Any = service
-    taken = AtomMeasurements(
-        scene_of(*FIELDS, name="graphene_patch"), client, np.array([[-50.0, -50, 0], [50, 50, 0]]) * A
-    )
+    taken = AtomMeasurements(scene_of(*FIELDS, name="graphene_patch"), region_of(service))
     for step in (10, 20, 40):
         taken.take(step, {})
     assert service.asked == ["grid_fields", "collect_fields"] * 2

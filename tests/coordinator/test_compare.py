@@ -227,7 +227,7 @@ def tips(*rows: tuple[int, float]) -> Track:
     for row, place in rows:
         tip[row:] = place
     rising = np.linspace(0.01, 1.0, 100)
-    return Track(rising, rising, rising**2, tip, np.full(100, 300.0), (tip > 0).astype(float))
+    return Track(STRAIN, rising, rising, rising**2, tip, np.full(100, 300.0), (tip > 0).astype(float))
 
 
 def test_tips_are_compared_at_one_load_and_loads_at_one_tip() -> None:
@@ -242,5 +242,7 @@ def test_tips_are_compared_at_one_load_and_loads_at_one_tip() -> None:
 
 def test_a_run_that_ended_at_its_growth_is_held_there() -> None:
     whole = tips((49, 4.0))
-    short = Track(*(getattr(whole, name)[:50] for name in ("time", "load", "j", "tip", "temperature", "broken")))
+    short = Track(
+        STRAIN, *(getattr(whole, name)[:50] for name in ("time", "load", "j", "tip", "temperature", "broken"))
+    )
     assert tip_difference(short, whole, 4.0, 1.0) == 0.0

@@ -109,7 +109,7 @@ def request(scene: Scene) -> c.ContinuumConfigure:
     material = scene.continuum.material
     assert material is not None
     law: c.Material = TypeAdapter(c.Material).validate_python(material.constants())
-    return continuum_request(scene, law, material.thickness, None)
+    return continuum_request(scene, law, material.thickness, [], 1, [])
 
 
 def test_every_table_reaches_the_request_in_si() -> None:
@@ -139,7 +139,7 @@ def test_every_table_reaches_the_request_in_si() -> None:
 def test_a_scene_of_before_asks_for_nothing_that_is_new() -> None:
     scene = load_scene(SCENES / "graphene_crack.toml")
     material = c.IsotropicMaterial(young=1e12, poisson=0.2, density=2e3)
-    made = continuum_request(scene, material, 3.35e-10, None)
+    made = continuum_request(scene, material, 3.35e-10, [], 1, [])
     assert newer_fields(made, Version(1, 0)) == []
     assert len(made.cracks) == 1 and made.cracks[0].points[1] == (0.0, 0.0)
 

@@ -1,165 +1,242 @@
-"""Theory of the handshake against published constants and against two elastic bars solved by finite elements."""
+"""Choice of the handshake, and its limits against the eigenvalues of the maps that they come from."""
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 import pytest
 
 from coordinator.handshake import (
     CHOSEN_NUMBER,
+    LARGEST_EXPONENT,
     SMALLEST_WEIGHT,
     STABILITY_LIMIT,
     HandshakeError,
+    Scheme,
     choose,
-    exact_lambda,
-    exact_stiffness,
+    damping_share,
     exact_weight,
     exchange_number,
 )
+from coordinator.overlap_theory import exact_stiffness
+from coordinator.weight_profile import Kind, WeightProfile
 
 YOUNG, DENSITY, WIDTH = 1.05e12, 2200.0, 15e-10
 
 
-def elongation_error(weight: float, stiffness: float, elements: int = 400) -> float:
-    """Return how far two overlapping bars stretch beyond one whole bar under the same pull.
-
-    Bars of length 2 and modulus 1 overlap over length 1, so the whole is 3 long; the first one is scaled by
-    `weight` in the overlap. Springs of `stiffness` per length join them there. Linear elements, consistent
-    springs, solved as one linear system; unit pull at the far end, so a single bar would stretch by 3.
-    """
-    h = 1.0 / elements
-    size = 2 * elements + 1
-    matrix = np.zeros((2 * size, 2 * size))
-    bar = np.array([[1.0, -1.0], [-1.0, 1.0]]) / h
-    mass = np.array([[2.0, 1.0], [1.0, 2.0]]) * h / 6.0
-    for element in range(2 * elements):
-        pair = np.array([element, element + 1])
-        modulus = weight if element >= elements else 1.0  # the first bar's second half overlaps
-        matrix[np.ix_(pair, pair)] += modulus * bar
-        matrix[np.ix_(size + pair, size + pair)] += bar
-    for element in range(elements):
-        first = np.array([elements + element, elements + element + 1])
-        second = size + np.array([element, element + 1])
-        springs = stiffness * mass
-        matrix[np.ix_(first, first)] += springs
-        matrix[np.ix_(second, second)] += springs
-        matrix[np.ix_(first, second)] -= springs
-        matrix[np.ix_(second, first)] -= springs
-    pull = np.zeros(2 * size)
-    pull[-1] = 1.0
-    free = slice(1, None)  # the first bar is clamped at its far end
-    moved = np.linalg.solve(matrix[free, free], pull[free])
-    return float(moved[-1] - 3.0)
+def constant(weight: float) -> WeightProfile:
+    return WeightProfile("constant", weight)
 
 
-@pytest.mark.parametrize(
-    ("weight", "published", "rounding"), [(1.0, 2.878, 5e-4), (0.5, 8.51, 5e-3), (0.12, 532.0, 0.5), (0.2, 113.0, 0.5)]
-)
-def test_exact_stiffness_has_the_measured_constants(weight: float, published: float, rounding: float) -> None:
-    assert exact_stiffness(weight) == pytest.approx(published, abs=rounding)
-
-
-def test_exact_stiffness_of_a_light_continuum() -> None:
-    # 913 comes from a discretised overlap, 927 from the limit of thin elements.
-    assert 913.0 < exact_stiffness(0.1) < 928.0
-
-
-@pytest.mark.parametrize("weight", [1.0, 0.5, 0.3, 0.2])
-def test_exact_stiffness_leaves_the_far_field_of_two_bars_unchanged(weight: float) -> None:
-    stiffness = exact_stiffness(weight)
-    assert abs(elongation_error(weight, stiffness)) < 2e-4
-    # ... and it is the only such stiffness: springs a tenth softer or stiffer are seen.
-    assert elongation_error(weight, 0.9 * stiffness) > 2e-3
-    assert elongation_error(weight, 1.1 * stiffness) < -2e-3
-
-
-def test_stiff_springs_at_full_weight_shorten_the_bars_by_nearly_half_the_overlap() -> None:
-    assert elongation_error(1.0, 1e4) == pytest.approx(-0.5, abs=0.02)
-
-
-@pytest.mark.parametrize("weight", [0.05, 0.2, 0.7, 1.0])
-def test_exact_lambda_solves_its_equation(weight: float) -> None:
-    root = exact_lambda(weight)
-    # divided by cosh: the terms themselves overflow at small weights
-    left = root * weight * math.tanh(root)
-    right = 2.0 / math.cosh(min(root, 700.0)) + weight + 1.0 / weight
-    assert left == pytest.approx(right, rel=1e-10)
-
-
-def test_exact_weight_inverts_exact_stiffness() -> None:
-    for weight in (0.06, 0.1, 0.35, 0.8, 1.0):
-        assert exact_weight(exact_stiffness(weight)) == pytest.approx(weight, abs=2e-6)
-    assert exact_weight(0.5 * exact_stiffness(1.0)) == 1.0
-    assert exact_weight(2.0 * exact_stiffness(SMALLEST_WEIGHT)) == pytest.approx(SMALLEST_WEIGHT, abs=2e-6)
-
-
-def spectral_radius(kappa: float, weight: float, step: float, damping_time: float | None) -> float:
-    """Return the spectral radius of one exchange of a light continuum against atoms at rest."""
-    pull = step * kappa / (weight * DENSITY)
-    drag = 0.0 if damping_time is None else step / (weight * damping_time)
-    velocity = np.array([-pull, 1.0 - drag])  # of (u, v)
-    place = np.array([1.0, 0.0]) + step * velocity
+def serial_radius(spring: float, drag: float) -> float:
+    """Return the spectral radius of v' = v - 4 S u / Dt - 2 D v, u' = u + Dt v', in units of Dt = 1."""
+    velocity = np.array([-4.0 * spring, 1.0 - 2.0 * drag])  # of (u, v)
+    place = np.array([1.0, 0.0]) + velocity
     return float(np.abs(np.linalg.eigvals(np.array([place, velocity]))).max())
 
 
+def parallel_radius(spring: float, drag: float, inner: float, second: float = 1.0) -> float:
+    """Return the spectral radius of the parallel exchange of one light node with a spring to rest of its own.
+
+    State (u, v, v one step before, F); `second` scales the second difference in the prediction.
+    """
+    u, v, w, f = np.eye(4)
+    told = u + v + second * (v - w)  # where the anchors stand while the continuum moves
+    moved = v - inner * u + f
+    reaction = -4.0 * spring * told - 2.0 * drag * v
+    return float(np.abs(np.linalg.eigvals(np.array([u + moved, moved, v, reaction]))).max())
+
+
+@pytest.mark.parametrize("drag", [0.0, 0.1, 0.4])
+def test_serial_exchange_loses_stability_at_number_one(drag: float) -> None:
+    assert serial_radius(0.98 * (1.0 - drag), drag) <= 1.0 + 1e-12
+    assert serial_radius(1.02 * (1.0 - drag), drag) > 1.0 + 1e-3
+
+
+@pytest.mark.parametrize("drag", [0.0, 0.05, 0.2])
+@pytest.mark.parametrize("inner", [0.0, 0.25, 0.5])
+def test_parallel_exchange_loses_stability_at_number_one(drag: float, inner: float) -> None:
+    at_one = (1.0 - 2.0 * drag - inner) / 8.0
+    assert parallel_radius(0.98 * at_one, drag, inner) <= 1.0 + 1e-12
+    assert parallel_radius(1.02 * at_one, drag, inner) > 1.0 + 1e-4
+
+
+def test_parallel_exchange_without_the_second_difference_is_unstable_at_any_number() -> None:
+    for spring in (1e-3, 1e-2, 0.1):
+        assert parallel_radius(spring, 0.0, 0.0, second=0.0) > 1.0 + spring**2
+        assert parallel_radius(spring, 0.0, 0.0) < 1.0 + 1e-12
+
+
+@pytest.mark.parametrize("parts", [2, 5, 50])
+def test_force_as_an_impulse_has_the_serial_map_and_spread_evenly_grows(parts: int) -> None:
+    spring = 0.1
+    impulse, spread = np.eye(2), np.eye(2)  # of (u, v), Dt = 1
+    start = np.array([-4.0 * spring, 0.0])  # force for unit mass from the place at the start
+    for part in range(parts):
+        impulse[1] += start if part == 0 else 0.0
+        impulse[0] += impulse[1] / parts
+        spread[1] += start / parts
+        spread[0] += spread[1] / parts
+    whole = np.array([[1.0 - 4.0 * spring, 1.0], [-4.0 * spring, 1.0]])
+    np.testing.assert_allclose(impulse, whole, atol=1e-14)
+    assert np.linalg.det(spread) == pytest.approx(1.0 + 2.0 * spring * (parts - 1) / parts)
+    assert np.abs(np.linalg.eigvals(spread)).max() > 1.0
+
+
 @pytest.mark.parametrize("damping_time", [None, 2e-13, 5e-14])
-def test_exchange_number_one_is_where_the_exchange_loses_stability(damping_time: float | None) -> None:
-    weight, step = 0.3, 5e-15
-    damper = 0.0 if damping_time is None else step / (2 * weight * damping_time)
-    kappa_at_one = (1.0 - damper) * 4.0 * weight * DENSITY / step**2
-    assert exchange_number(kappa_at_one, weight, DENSITY, step, damping_time) == pytest.approx(1.0, rel=1e-12)
-    assert spectral_radius(0.98 * kappa_at_one, weight, step, damping_time) <= 1.0 + 1e-12
-    assert spectral_radius(1.02 * kappa_at_one, weight, step, damping_time) > 1.0 + 1e-3
+def test_exchange_number_counts_springs_and_dampers(damping_time: float | None) -> None:
+    weight, step, kappa = 0.3, 5e-15, 3e31
+    spring = 0.25 * step**2 * kappa / (weight * DENSITY)
+    drag = 0.0 if damping_time is None else 0.5 * step / (weight * damping_time)
+    serial = exchange_number(kappa, constant(weight), DENSITY, step, damping_time)
+    parallel = exchange_number(kappa, constant(weight), DENSITY, step, damping_time, "parallel", 0.2)
+    assert serial**2 == pytest.approx(spring + drag)
+    assert parallel**2 == pytest.approx(8.0 * spring + 2.0 * drag + 0.16)
+
+
+def test_dampers_follow_a_profile_so_its_lightest_place_does_not_limit_them() -> None:
+    profile = WeightProfile("power", 0.05, 8.0)
+    across = np.linspace(0.0, 1.0, 1001)
+    share = damping_share(profile, across)
+    ratio = share / profile.at(across)
+    assert set(share) == {1.0 / 16.0, 0.125, 0.25, 0.5, 1.0}
+    assert 0.7 < ratio.min() < ratio.max() < 1.42
+    assert (damping_share(constant(0.2), across) == 1.0).all()
+    alone = exchange_number(0.0, profile, DENSITY, 5e-15, 5e-14)
+    assert alone**2 == pytest.approx(0.05 * ratio.max(), rel=1e-2)
 
 
 @pytest.mark.parametrize("damping_time", [None, 2e-13])
 @pytest.mark.parametrize("step", [1e-15, 3e-15, 5e-15])
-def test_choose_takes_the_smallest_weight_below_the_number_it_aims_at(step: float, damping_time: float | None) -> None:
-    chosen = choose(YOUNG, DENSITY, WIDTH, step, damping_time=damping_time)
-    assert chosen.exchange_number < CHOSEN_NUMBER < STABILITY_LIMIT
-    assert chosen.stiffness_density == pytest.approx(exact_stiffness(chosen.weight) * YOUNG / WIDTH**2, rel=1e-12)
-    lighter = chosen.weight - 0.002
+def test_constant_weight_is_the_smallest_below_the_aim(step: float, damping_time: float | None) -> None:
+    chosen = choose(YOUNG, DENSITY, WIDTH, step, damping_time=damping_time, profile="constant")
+    assert chosen.exchange_number < CHOSEN_NUMBER["serial"] < STABILITY_LIMIT["serial"]
+    kappa = exact_stiffness(constant(chosen.weight)) * YOUNG / WIDTH**2
+    assert chosen.stiffness_density == pytest.approx(kappa, rel=1e-12)
+    assert abs(chosen.static_error) < 1e-10
+    lighter = constant(chosen.weight - 0.002)
     kappa = exact_stiffness(lighter) * YOUNG / WIDTH**2
-    assert exchange_number(kappa, lighter, DENSITY, step, damping_time) >= CHOSEN_NUMBER
+    assert exchange_number(kappa, lighter, DENSITY, step, damping_time) >= CHOSEN_NUMBER["serial"]
+
+
+@pytest.mark.parametrize("scheme", ["serial", "parallel"])
+@pytest.mark.parametrize("step", [2e-15, 5e-15, 1.2e-14])
+def test_the_default_is_the_steepest_power_below_the_aim(step: float, scheme: Scheme) -> None:
+    chosen = choose(YOUNG, DENSITY, WIDTH, step, damping_time=1e-12, scheme=scheme)
+    assert chosen.profile.kind == "power"
+    assert chosen.exchange_number < CHOSEN_NUMBER[scheme]
+    assert abs(chosen.static_error) < 1e-9
+    if chosen.weight == SMALLEST_WEIGHT and chosen.exponent < LARGEST_EXPONENT:
+        steeper = WeightProfile("power", SMALLEST_WEIGHT, chosen.exponent + 1.0)
+        kappa = exact_stiffness(steeper) * YOUNG / WIDTH**2
+        assert exchange_number(kappa, steeper, DENSITY, step, 1e-12, scheme) >= CHOSEN_NUMBER[scheme]
+
+
+def test_the_default_reaches_the_limits_of_reflection_at_twenty_steps_of_graphene() -> None:
+    chosen = choose(YOUNG, DENSITY, WIDTH, 20 * 0.5e-15)
+    reflected = [chosen.reflection(wavelength) for wavelength in (5.0, 10.0, 20.0, 50.0)]
+    assert (np.array(reflected) < [0.12, 0.05, 0.03, 0.01]).all()
+    # A constant weight that is stable at the same step misses all four.
+    plain = choose(YOUNG, DENSITY, WIDTH, 20 * 0.5e-15, profile="constant")
+    assert (
+        np.array([plain.reflection(wavelength) for wavelength in (5.0, 10.0, 20.0, 50.0)]) > [0.24, 0.1, 0.04, 0.02]
+    ).all()
+
+
+@pytest.mark.parametrize("kind", ["linear", "cubic", "power"])
+def test_springs_follow_the_weight_and_stand_at_their_density_at_the_outer_border(kind: Kind) -> None:
+    chosen = choose(YOUNG, DENSITY, WIDTH, 5e-15, profile=kind)
+    across = np.linspace(0.0, 1.0, 11)
+    np.testing.assert_allclose(
+        chosen.stiffness_at(across), chosen.stiffness_density * chosen.weight_at(across), rtol=1e-14
+    )
+    assert chosen.stiffness_at(np.array(1.0)) == pytest.approx(chosen.stiffness_density)
+
+
+def test_springs_of_a_constant_weight_are_equal() -> None:
+    chosen = choose(YOUNG, DENSITY, WIDTH, 2e-15, weight=0.5)
+    assert chosen.profile == constant(0.5)
+    np.testing.assert_allclose(chosen.stiffness_at(np.linspace(0.0, 1.0, 5)), chosen.stiffness_density)
+    assert chosen.relative_stiffness == pytest.approx(8.506, rel=1e-3)
+
+
+def test_the_weight_grows_where_even_a_straight_profile_is_unstable() -> None:
+    softest = exact_stiffness(WeightProfile("linear", SMALLEST_WEIGHT)) * YOUNG / WIDTH**2
+    step = 1.2 * 2.0 * CHOSEN_NUMBER["serial"] * (DENSITY / softest) ** 0.5
+    chosen = choose(YOUNG, DENSITY, WIDTH, step)
+    assert chosen.exponent == 1.0
+    assert SMALLEST_WEIGHT < chosen.weight < 1.0
+    assert chosen.exchange_number == pytest.approx(CHOSEN_NUMBER["serial"], rel=2e-3)
 
 
 def test_full_weight_is_taken_where_only_that_is_stable() -> None:
     # The exchange number is linear in the step without damper: 0.8 lies between aim and limit.
-    step = 0.8 * 5e-15 / exchange_number(exact_stiffness(1.0) * YOUNG / WIDTH**2, 1.0, DENSITY, 5e-15)
-    chosen = choose(YOUNG, DENSITY, WIDTH, step)
+    kappa = exact_stiffness(constant(1.0)) * YOUNG / WIDTH**2
+    step = 0.8 * 5e-15 / exchange_number(kappa, constant(1.0), DENSITY, 5e-15)
+    chosen = choose(YOUNG, DENSITY, WIDTH, step, profile="constant")
     assert chosen.weight == 1.0
     assert chosen.exchange_number == pytest.approx(0.8, rel=1e-12)
 
 
-def test_choose_stops_at_the_smallest_weight() -> None:
-    assert choose(YOUNG, DENSITY, WIDTH, 1e-17).weight == SMALLEST_WEIGHT
-
-
-def test_choose_keeps_a_given_weight_and_finds_its_stiffness() -> None:
-    chosen = choose(YOUNG, DENSITY, WIDTH, 2e-15, weight=0.5)
-    assert chosen.weight == 0.5
-    assert chosen.stiffness_density * WIDTH**2 / YOUNG == pytest.approx(8.506, rel=1e-3)
+def test_choose_stops_at_the_smallest_weight_and_the_largest_exponent() -> None:
+    assert choose(YOUNG, DENSITY, WIDTH, 1e-17, profile="constant").weight == SMALLEST_WEIGHT
+    assert choose(YOUNG, DENSITY, WIDTH, 1e-17).profile == WeightProfile("power", SMALLEST_WEIGHT, LARGEST_EXPONENT)
 
 
 def test_choose_finds_the_weight_of_a_given_stiffness() -> None:
-    given = exact_stiffness(0.4) * YOUNG / WIDTH**2
+    given = exact_stiffness(constant(0.4)) * YOUNG / WIDTH**2
     chosen = choose(YOUNG, DENSITY, WIDTH, 2e-15, stiffness_density=given)
     assert chosen.stiffness_density == given
     assert chosen.weight == pytest.approx(0.4, abs=2e-6)
 
 
+def test_exact_weight_inverts_exact_stiffness() -> None:
+    for weight in (0.06, 0.1, 0.35, 0.8, 1.0):
+        assert exact_weight(exact_stiffness(constant(weight))) == pytest.approx(weight, abs=2e-6)
+    assert exact_weight(0.5 * exact_stiffness(constant(1.0))) == 1.0
+    assert exact_weight(2.0 * exact_stiffness(constant(SMALLEST_WEIGHT))) == pytest.approx(SMALLEST_WEIGHT, abs=2e-6)
+
+
+def test_stiff_springs_are_as_stiff_as_the_exchange_bears() -> None:
+    short = choose(YOUNG, DENSITY, WIDTH, 1e-15, weight=1.0, stiff=True)
+    assert short.relative_stiffness == pytest.approx(1000.0)
+    assert short.static_error == pytest.approx(-0.4776, abs=1e-4)
+    assert short.reflection(10.0) == pytest.approx(0.399, abs=1e-3)
+    long = choose(YOUNG, DENSITY, WIDTH, 1.5e-14, weight=1.0, damping_time=5e-14, stiff=True)
+    assert long.relative_stiffness < 100.0
+    assert long.exchange_number == pytest.approx(CHOSEN_NUMBER["serial"])
+
+
 @pytest.mark.parametrize(
     "given",
-    [{"weight": 0.06}, {"stiffness_density": 1e35}, {"weight": 1.0, "damping_time": 1e-15}, {"weight": 1.0, "step": 1}],
+    [
+        {"weight": 0.06},
+        {"stiffness_density": 1e35},
+        {"weight": 1.0, "damping_time": 1e-15},
+        {"weight": 1.0, "step": 1e-12},
+        {"step": 5e-13},
+    ],
 )
 def test_an_unstable_exchange_is_refused_with_limit_and_knobs(given: dict[str, float]) -> None:
-    step = 1e-12 if given.pop("step", None) else 5e-15
+    step = given.pop("step", 5e-15)
     with pytest.raises(HandshakeError) as refused:
         choose(YOUNG, DENSITY, WIDTH, step, **given)
     text = str(refused.value)
-    assert f"allowed is {STABILITY_LIMIT}" in text
-    assert f"{step * 1e15:.3g} fs" in text
+    assert f"allowed is {STABILITY_LIMIT['serial']}" in text
+    assert f"coupling step {step * 1e15:.3g} fs" in text
     for knob in ("handshake.steps_per_exchange", "handshake.stiffness", "handshake.weight"):
         assert knob in text
+
+
+def test_the_step_that_a_refusal_names_is_taken() -> None:
+    with pytest.raises(HandshakeError, match=r"a coupling step of (\S+) fs is stable") as refused:
+        choose(YOUNG, DENSITY, WIDTH, 5e-14, weight=0.5, damping_time=1e-13)
+    step = float(str(refused.value).split("a coupling step of ")[1].split(" fs")[0]) * 1e-15
+    assert (
+        choose(YOUNG, DENSITY, WIDTH, step, weight=0.5, damping_time=1e-13).exchange_number < STABILITY_LIMIT["serial"]
+    )
+
+
+def test_the_parallel_exchange_is_refused_where_the_serial_one_is_stable() -> None:
+    with pytest.raises(HandshakeError, match=r"handshake.scheme = parallel; serial has 0\.\d"):
+        choose(YOUNG, DENSITY, WIDTH, 2e-14, weight=0.5, scheme="parallel")
+    assert choose(YOUNG, DENSITY, WIDTH, 2e-14, weight=0.5).scheme == "serial"

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coordinator.interface import Interface, build_interface
-from protocol.continuum import Rectangle
+from coordinator.ring import rectangle_ring
 
 A = 1e-10
 
@@ -24,14 +24,9 @@ def lattice(half_width: float, half_height: float, spacing: float = 1.3 * A) -> 
 def built(
     atoms: np.ndarray, inner: float, outer: float, ivc_size: float = 5 * A, crack_y: float | None = None
 ) -> Interface:
-    return build_interface(
-        atoms,
-        Rectangle(lower=(-inner, -inner), upper=(inner, inner)),
-        Rectangle(lower=(-outer, -outer), upper=(outer, outer)),
-        0.3,
-        ivc_size,
-        crack_y,
-    )
+    half = np.array([outer, outer])
+    ring = rectangle_ring(((-inner, -inner), (inner, inner)), -half, half, ["left", "right", "bottom", "top"])
+    return build_interface(atoms, ring, ivc_size, crack_y)
 
 
 def boxes_that_hold(interface: Interface, points: np.ndarray) -> np.ndarray:

@@ -40,7 +40,7 @@ def service(folder: Path, script: str, spawned: list[subprocess.Popen[bytes]]) -
             [sys.executable, "-u", "-c", textwrap.dedent(script)], stdout=log, stderr=log, start_new_session=True
         )
     spawned.append(process)
-    made = ServiceProcess("continuum", "mpm_service", folder, "ipc://none", process)
+    made = ServiceProcess("continuum", "continuum", "mpm_service", folder, "ipc://none", process)
     wait_for(lambda: process.poll() is not None or b"\n" in made.log_path.read_bytes())
     return made
 
@@ -128,7 +128,7 @@ def test_a_real_service_starts_answers_and_stops_even_in_a_deep_folder(tmp_path:
     folder = tmp_path / ("d" * 60) / ("e" * 60)
     services = Services(folder, "test")
     try:
-        services.start("continuum", "mpm_service")
+        services.start("continuum", "continuum", "mpm_service")
         started = services.processes["continuum"]
         assert len(started.endpoint.removeprefix("ipc://")) <= LONGEST_SOCKET_PATH
         client = services.connect("continuum")
@@ -150,7 +150,7 @@ def test_waiting_for_a_service_can_be_ended_by_who_waits(tmp_path: Path) -> None
 
     services = Services(tmp_path, "test")
     try:
-        services.start("continuum", "mpm_service")
+        services.start("continuum", "continuum", "mpm_service")
         process = services.processes["continuum"].process
         with pytest.raises(Enough):
             services.connect("continuum", watch)
@@ -177,14 +177,14 @@ def test_waiting_for_a_service_that_dies_at_its_start_names_it(
 def test_an_unknown_backend_starts_nothing(tmp_path: Path) -> None:
     services = Services(tmp_path, "test")
     with pytest.raises(BackendError, match="installed for it: mpm_service"):
-        services.start("continuum", "no_such_backend")
+        services.start("continuum", "continuum", "no_such_backend")
     assert services.processes == {}
     assert psutil.Process(os.getpid()).children() == []
 
 
 def test_a_backend_of_one_process_refuses_ranks(tmp_path: Path) -> None:
     with pytest.raises(BackendError, match="mpm_service runs as one process, not as 2 ranks"):
-        Services(tmp_path, "test").start("continuum", "mpm_service", ranks=2)
+        Services(tmp_path, "test").start("continuum", "continuum", "mpm_service", ranks=2)
 
 
 def test_attaching_to_nobody_is_ended_by_who_waits(tmp_path: Path) -> None:
@@ -198,5 +198,5 @@ def test_attaching_to_nobody_is_ended_by_who_waits(tmp_path: Path) -> None:
 
     services = Services(tmp_path, "test")
     with pytest.raises(ConnectionProblem, match="long enough"):
-        services.attach("atomistic", f"ipc://{tmp_path}/nobody", None, watch)
+        services.attach("atomistic", "atomistic", f"ipc://{tmp_path}/nobody", None, watch)
     assert services.clients == {}

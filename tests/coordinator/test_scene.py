@@ -152,9 +152,10 @@ def test_a_file_that_is_not_there(tmp_path: Path) -> None:
         ("handshake.width=14 angstrom", "is 2.8 cells of 5 angstrom"),
         ("handshake.width=55 angstrom", "narrower than half the sheet"),
         ("handshake.ivc_size=16 angstrom", "must not be larger than handshake.width"),
-        ("handshake.ivc_size=4 angstrom", "must not be smaller than continuum.cell_size"),
+        ("handshake.ivc_size=4 angstrom", "must not be smaller than a cell of the continuum"),
         ("crack.tip_x=45 angstrom", "inside the sheet inside its handshake"),
-        ("crack.y=1 m", "inside the sheet inside its handshake"),
+        ("crack.y=1 m", "must lie inside the body"),
+        ("crack.y=60 angstrom", "inside the sheet inside its handshake"),
         ("handshake=1", "must be a table"),
     ],
 )

@@ -47,7 +47,14 @@ def test_every_engine_keeps_the_contract(engine: str, tmp_path: Path) -> None:
                  "windows until the error", "thermostat nose-hoover"):  # fmt: skip
         assert names[f"kinds: {kind}"] == "taken"
     assert names["file: a sample comes back as it was sent"] == "taken"
-    assert "grid_fields: is answered" in names and "j_integral: is answered" in names
+    for operation in ("grid_fields", "j_integral", "displace"):
+        assert f"{operation}: is answered" in names
+    assert "kg m/s" in names["momentum: is that of the velocities"]
+    assert "atoms" in names["keep: atoms outside of a polygon are left out"]
+    if engine in ("lattice", "lammps"):
+        assert "bonds" in names["cut: is answered"]
+    else:
+        assert names["cut: is not offered, and refused"]
 
 
 def configure(**changes: Any) -> a.AtomisticConfigure:

@@ -1,0 +1,175 @@
+"""Books of energy and momentum: what the filter takes, and whether all energies and works add up."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mpm_service import (
+    BodyForce,
+    Damping,
+    EdgeCondition,
+    Energies,
+    Grid,
+    IsotropicElastic,
+    MaterialPointSolver,
+    Scheme,
+    Table,
+    Traction,
+    fill_rectangle,
+    shape_functions,
+)
+
+BAR = IsotropicElastic(1.0, 0.0, 1.0, "plane_strain")
+SOFT = IsotropicElastic(1e-30, 0.3, 1.0, "plane_strain")
+HELD = [EdgeCondition("left", 0, (0.0,), (0.0,)), EdgeCondition("right", 0, (0.0,), (0.0,))]
+
+
+def balance(e: Energies) -> float:
+    out = e.edge_work + e.load_work + e.interface_work
+    return e.kinetic + e.strain - out + e.damping_loss + e.friction_loss + e.dissipated + e.filter_loss
+
+
+def bar(cells: int, time_step: float, **more: Any) -> MaterialPointSolver:
+    """A bar without contraction, wave speed 1, two cells high."""
+    body = fill_rectangle((0.0, 0.0), (float(cells), 2.0), 1.0)
+    return MaterialPointSolver(Grid((-3.0, -3.0), 1.0, (cells + 6, 8)), body, BAR, 1.0, time_step, **more)
+
+
+def swing_of_a_vibration(cells: int, time_step: float) -> tuple[float, float, float]:
+    """Largest error of the balance, its drift, and the filter loss in two periods of mode 2, all over the energy."""
+    number = 2 * np.pi / cells
+    place = fill_rectangle((0.0, 0.0), (float(cells), 2.0), 1.0).position
+    velocity = np.column_stack([1e-4 * np.sin(number * place[:, 0]), np.zeros(len(place))])
+    solver = bar(cells, time_step, edge_conditions=HELD, initial_velocity=velocity)
+    start = balance(solver.energies())
+    errors = []
+    for _ in range(round(2 * cells / time_step / 4)):
+        solver.advance(4)
+        errors.append(balance(solver.energies()) / start - 1.0)
+    middle = len(errors) // 2
+    drift = float(np.mean(errors[middle:]) - np.mean(errors[:middle]))
+    return float(np.abs(errors).max()), drift, solver.energies().filter_loss / start
+
+
+def test_balance_of_a_free_vibration_closes_to_second_order() -> None:
+    """The docstring of `time_integration`: it swings by 0.13 (k h)^2 of the strain energy and by dt^2, no more."""
+    swings = {dt: swing_of_a_vibration(40, dt) for dt in (0.4, 0.2, 0.1)}
+    number = 2 * np.pi / 40
+    limit = 0.7 * 3 / 16 * number**2
+    assert swings[0.1][0] == pytest.approx(limit, rel=0.05)
+    in_time = [swings[dt][0] for dt in (0.4, 0.2, 0.1)]
+    assert (in_time[0] - in_time[1]) / (in_time[1] - in_time[2]) == pytest.approx(4.0, rel=0.3)
+    assert swing_of_a_vibration(80, 0.1)[0] == pytest.approx(in_time[2] / 4, rel=0.1)
+    for dt, (swing, drift, loss) in swings.items():
+        assert abs(drift) < 0.02 * swing, dt
+        assert loss > swing  # what is closed is more than the error
+
+
+@pytest.mark.parametrize("time_step", [0.4, 0.2])
+def test_balance_of_a_forced_bar_closes_to_one_percent(time_step: float) -> None:
+    """A pulse goes to and fro for nearly four times the bar's length; the rest is of the order of dt."""
+    times = np.linspace(0.0, 40.0, 401)
+    pulse = Table(tuple(times), tuple(np.sin(np.pi * times / 40.0) ** 2))
+    solver = bar(40, time_step, edge_conditions=HELD[:1], loads=[Traction("right", (1e-4, 0.0), pulse)])
+    errors = []
+    for _ in range(round(150 / time_step / 5)):
+        solver.advance(5)
+        errors.append(balance(solver.energies()))
+    work = solver.energies().load_work
+    assert work > 0 and np.abs(errors).max() < 0.01 * work * time_step / 0.4
+    assert solver.energies().filter_loss > 0.005 * work
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_filter_loss_of_a_step_without_force_is_that_of_the_matrices(order: int) -> None:
+    """K - K' of v' = S Q_k S+ v, with S from the table of shape functions and no arithmetic of the solver."""
+    body = fill_rectangle((0.0, 0.0), (6.0, 4.0), 1.0)
+    grid = Grid((-3.0, -3.0), 1.0, (12, 10))
+    velocity = np.random.default_rng(3).normal(size=(body.count, 2))
+    solver = MaterialPointSolver(
+        grid, body, SOFT, 1.0, 1e-9, initial_velocity=velocity, scheme=Scheme(transfer="fmpm", order=order)
+    )
+    solver.advance(1)
+    node, weight, _ = shape_functions(grid, body.position, 0.25)
+    s = np.zeros((body.count, grid.node_count))
+    np.add.at(s, (np.arange(body.count)[:, None], node), weight)
+    mass = s.sum(axis=0)
+    back = np.divide(s, mass, out=np.zeros_like(s), where=mass > 0).T
+    nodal = back @ velocity
+    field = nodal.copy()
+    for _ in range(order - 1):
+        field = nodal + field - back @ (s @ field)
+    after = s @ field
+    expected = 0.5 * 0.25 * float(np.sum(velocity**2) - np.sum(after**2))
+    e = solver.energies()
+    assert e.filter_loss == pytest.approx(expected, rel=1e-12)
+    assert e.kinetic == pytest.approx(0.5 * 0.25 * float(np.sum(after**2)), rel=1e-12)
+
+
+def test_flip_without_force_loses_nothing_and_what_is_set_is_no_loss() -> None:
+    body = fill_rectangle((0.0, 0.0), (6.0, 4.0), 1.0)
+    velocity = np.random.default_rng(4).normal(size=(body.count, 2))
+    solver = MaterialPointSolver(
+        Grid((-3.0, -3.0), 1.0, (12, 10)), body, SOFT, 1.0, 1e-9, initial_velocity=velocity,
+        scheme=Scheme(transfer="flip"), damping=Damping(point_rate=1e7),
+    )  # fmt: skip
+    start = solver.kinetic_energy
+    solver.advance(5)
+    e = solver.energies()
+    assert abs(e.filter_loss) < 1e-12 * start
+    assert e.damping_loss == pytest.approx(start - e.kinetic, rel=1e-10)
+    solver.set_velocity(3.0 * velocity)
+    solver.advance(1)
+    solver.stop()
+    assert abs(solver.energies().filter_loss) < 1e-11 * start
+
+
+@pytest.mark.parametrize("transfer", ["flip", "pic", "xpic", "fmpm"])
+@pytest.mark.parametrize("integration", ["usf", "usl", "musl", "usavg"])
+def test_work_of_every_force_is_what_a_rigid_body_gains(transfer: Any, integration: Any) -> None:
+    """Anchors, cells, body force and damping on the grid; nothing deforms, so work less loss is kinetic energy."""
+    body = fill_rectangle((0.0, 0.0), (6.0, 4.0), 1.0)
+    dt = 0.02
+    solver = MaterialPointSolver(
+        Grid((-3.0, -3.0), 1.0, (12, 10)), body, SOFT, 1.0, dt, damping=Damping(grid_rate=0.3),
+        loads=[BodyForce((0.1, -0.2))], scheme=Scheme(transfer=transfer, integration=integration),
+    )  # fmt: skip
+    # a force on every point, in proportion to its mass, moves the body as a whole
+    solver.register_interface_cells([[0.0, 0.0]], [[6.0, 4.0]])
+    solver.register_anchors([[3.0, 2.0]], [0])
+    solver.advance(40, ivc_force=[[3.0, 1.0]])
+    e = solver.energies()
+    assert e.strain == pytest.approx(0.0, abs=1e-20)
+    assert e.interface_work > 0 and e.load_work > 0 and e.damping_loss > 0
+    assert e.kinetic == pytest.approx(e.interface_work + e.load_work - e.damping_loss - e.filter_loss, rel=1e-12)
+    assert abs(e.filter_loss) < 1e-12 * e.kinetic
+    momentum = solver.momentum
+    np.testing.assert_allclose(momentum, 24.0 * solver.points.velocity.mean(axis=0), rtol=1e-12)
+
+
+def test_momentum_is_the_impulse_of_the_loads_and_edges() -> None:
+    times = (0.0, 5.0, 9.0)
+    pull = Traction("right", (2e-4, 1e-4), Table(times, (0.0, 1.0, 0.3)))
+    solver = bar(20, 0.25, edge_conditions=HELD[:1], loads=[pull], scheme=Scheme(transfer="flip"))
+    impulse = np.zeros(2)
+    for step in range(80):
+        factor = float(np.interp(step * 0.25, times, (0.0, 1.0, 0.3)))
+        solver.advance(1)
+        impulse += 0.25 * (np.array([2e-4, 1e-4]) * 2.0 * factor + [solver.edge_reaction[0], 0.0])
+    assert np.linalg.norm(impulse) > 1e-4
+    np.testing.assert_allclose(solver.momentum, impulse, rtol=1e-10)
+
+
+def test_anchor_forces_do_the_work_that_the_body_gains() -> None:
+    """One step under forces on anchors alone: kinetic energy and filter loss are their work, and so is the impulse."""
+    solver = bar(10, 0.4)
+    solver.register_anchors([[2.3, 0.7], [6.1, 1.4]], [0, 0])
+    solver.register_interface_cells([[0.0, 0.0]], [[10.0, 2.0]])
+    force = np.array([[2e-3, 1e-3], [-1e-3, 5e-4]])
+    solver.advance(1, anchor_force=force)
+    e = solver.energies()
+    assert e.interface_work == pytest.approx(e.kinetic + e.filter_loss, rel=1e-12)
+    np.testing.assert_allclose(solver.momentum, 0.4 * force.sum(axis=0), rtol=1e-12)
