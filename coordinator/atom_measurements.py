@@ -81,8 +81,8 @@ class AtomMeasurements:
         position = region.own_reference
         self._grid = grid_request(scene, position.min(axis=0), position.max(axis=0))
 
-    def take(self, step: int, values: dict[str, float]) -> MeasuredFields | None:
-        """Measure what is due at a step: J goes into `values`, fields are returned."""
+    def take(self, step: int, values: dict[str, float], cracked: bool = True) -> MeasuredFields | None:
+        """Measure what is due at a step: J goes into `values` where a tip is among the atoms; fields are returned."""
         table = self._scene.atomistic
         assert table is not None
         fields, j = table.fields, table.j
@@ -90,7 +90,7 @@ class AtomMeasurements:
         # Fields come first, since the answer of J begins a new average.
         if fields is not None and step % fields.interval == 0:
             measured = self._fields(fields, step)
-        if j is not None and step % j.interval == 0:
+        if j is not None and cracked and step % j.interval == 0:
             found = self._j(j, step)
             values.update({series_name(name, self._region.name, self._alone): value for name, value in found.items()})
         elif measured is not None:

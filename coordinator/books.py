@@ -8,9 +8,12 @@ apart from it::
     springs     what the anchors put in     = stored + given to the atoms
     interface   given by the continuum      = put in by the anchors + work against the reference force
 
+    momentum    change of the atoms'     = - (mean reactions + reference forces) M dt
+
 `filter` is the kinetic energy that the way from material points to grid and back takes. The reference force of
 Eq 87 is subtracted from what the continuum gets, so it works on the anchors all the same. The last line misses by the
 one coupling step that the continuum's force is old, and by the work of dampers, whose force is handed over too.
+Momentum misses by what the noise of a thermostat gives, which no reaction tells.
 """
 
 from __future__ import annotations
@@ -36,11 +39,17 @@ class Books:
     ----------
     reference_work : float
         Work of the reference forces on the anchors since the start, J.
+    momentum : float64 array, shape (2,), or None
+        Of all atoms at the last step, kg m/s; None where a service does not tell it.
+    missed : float64 array, shape (2,)
+        Momentum of the atoms that no reaction explains, since the start, kg m/s.
     start : dict of str to float
         What each part held at the first step, J.
     """
 
     reference_work: float = 0.0
+    momentum: FloatArray | None = None
+    missed: FloatArray = field(default_factory=lambda: np.zeros(2))
     start: dict[str, float] = field(default_factory=dict)
 
     def enter(
@@ -49,6 +58,7 @@ class Books:
         atoms: Sequence[a.AtomisticAdvanced],
         moved: FloatArray,
         reference_force: FloatArray | None,
+        time_step: float,
     ) -> dict[str, float]:
         """Enter one step and return its values.
 
@@ -61,6 +71,8 @@ class Books:
             Way of the anchors in this step, m.
         reference_force : float64 array, shape (anchors, 3), or None
             On the continuum, N; None where a service does not tell it.
+        time_step : float
+            Of the coupling, s.
 
         Returns
         -------
@@ -84,17 +96,37 @@ class Books:
             values[f"residual_{name}"] = value - self.start.setdefault(name, value)
         if atoms:
             values["reference_work"] = self.reference_work
+            values.update(self._momentum(atoms, reference_force, time_step))
         return values
+
+    def _momentum(
+        self, atoms: Sequence[a.AtomisticAdvanced], reference_force: FloatArray | None, time_step: float
+    ) -> dict[str, float]:
+        """Enter the momentum of the atoms."""
+        told = [reply.momentum for reply in atoms if reply.momentum is not None]
+        if len(told) < len(atoms) or reference_force is None:
+            return {}
+        now = np.sum(told, axis=0)[:2]
+        if self.momentum is not None:
+            # Forces are those on the continuum; an exchange that waits for an error lasts several windows.
+            lasted = [reply.windows * time_step for reply in atoms]
+            given = sum(dt * reply.anchor_force[:, :2].sum(axis=0) for dt, reply in zip(lasted, atoms, strict=True))
+            given = given + lasted[0] * reference_force[:, :2].sum(axis=0)
+            self.missed = self.missed + (now - self.momentum) + given
+        self.momentum = now
+        return {"residual_momentum_x": float(self.missed[0]), "residual_momentum_y": float(self.missed[1])}
 
     def state(self) -> dict[str, np.ndarray]:
         """Return the books as named arrays."""
-        return {"reference_work": np.array([self.reference_work])} | {
-            f"start_{name}": np.array([value]) for name, value in self.start.items()
-        }
+        found = {"reference_work": np.array([self.reference_work]), "missed": self.missed}
+        if self.momentum is not None:
+            found["momentum"] = self.momentum
+        return found | {f"start_{name}": np.array([value]) for name, value in self.start.items()}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Set what `state` gave."""
         self.reference_work = float(state["reference_work"][0])
+        self.momentum, self.missed = state.get("momentum"), state["missed"]
         self.start = {
             name.removeprefix("start_"): float(value[0]) for name, value in state.items() if name.startswith("start_")
         }

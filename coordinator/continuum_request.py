@@ -24,7 +24,8 @@ def material_of(scene: Scene, measured: Properties | None) -> c.Material:
         material: c.Material = TypeAdapter(c.Material).validate_python(given.constants())
         return material
     assert measured is not None  # held by the scene's checks
-    return c.IsotropicMaterial(young=measured.young, poisson=measured.poisson, density=measured.density)
+    law = {"isotropic": c.IsotropicMaterial, "neo_hookean": c.NeoHookeanMaterial}[scene.continuum.measured_law]
+    return law(young=measured.young, poisson=measured.poisson, density=measured.density)
 
 
 def thickness_of(scene: Scene, measured: Properties | None) -> float:

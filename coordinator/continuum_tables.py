@@ -224,6 +224,9 @@ class Continuum(Table):
         default=None, description="s; only without [atomistic], else steps_per_exchange times its time step"
     )
     material: Material | None = Field(default=None, description="absent: measured by the atomistic service")
+    measured_law: Literal["isotropic", "neo_hookean"] = Field(
+        default="isotropic", description="law that the measured constants go into"
+    )
     scheme: Scheme = Field(default_factory=Scheme, description="absent: the defaults of each key")
     edges: list[Edge] = Field(default=[], description="what is prescribed on edges")
     body_force: BodyForce | None = Field(default=None, description="absent: none")

@@ -20,12 +20,15 @@ from coordinator.atom_measurements import AtomMeasurements, MeasuredFields
 from coordinator.books import Books
 from coordinator.continuum_request import continuum_request, elastic_constants, material_of, thickness_of
 from coordinator.crack_passage import CrackPassage
+from coordinator.critical_length import CriticalLength, of_scene
 from coordinator.exchange import Exchange
 from coordinator.exchange_length import choose_steps_per_exchange
 from coordinator.region import Region
+from coordinator.relay import Leg
 from coordinator.scene import Scene
 from coordinator.series import series_name
 from coordinator.step_values import atom_values, boundary_values, continuum_values, regions_values, tip_values
+from coordinator.units import LENGTHS, readable
 from coordinator.wave_speed import courant_number, sub_steps
 from protocol import atomistic as a
 from protocol import continuum as c
@@ -102,6 +105,7 @@ class Coupling:
         self.equilibrated: list[a.Equilibrated] = []
         self.warnings: list[str] = []
         self.measurements: list[AtomMeasurements] = []
+        self.critical: CriticalLength | None = None
         self._continuum = continuum
         self._tell = tell
         self._books = Books()
@@ -120,6 +124,7 @@ class Coupling:
         if self.regions:
             self._configure_atoms()
         self._configure_continuum()
+        self._check_crack()
         if self.regions:
             self._register()
 
@@ -150,6 +155,17 @@ class Coupling:
     def _preloaded(self) -> bool:
         continuum = self.scene.continuum
         return bool(self.regions) and (continuum.preload is not None or continuum.initial_field is not None)
+
+    def _check_crack(self) -> None:
+        """Hold the crack against the critical length (Eq 1)."""
+        elastic = elastic_constants(self.material)
+        self.critical = None if elastic is None else of_scene(self.scene, elastic)
+        if self.critical is not None and self.critical.too_short:
+            self.warnings.append(
+                f"The crack, {readable(self.critical.crack, LENGTHS, 3)} long, is shorter than the critical length of"
+                f" Eq 1, {readable(self.critical.length, LENGTHS, 3)}: damage may spread through the body instead of"
+                " growing from its tip, and G_c is no property of the material there."
+            )
 
     def _measure_properties(self) -> None:
         atomistic = self.scene.atomistic
@@ -261,15 +277,20 @@ class Coupling:
         }
         events = list(continuum.events)
         if not atoms:
-            values.update(self._books.enter(continuum, atoms, found.moved, None))
+            values.update(self._books.enter(continuum, atoms, found.moved, None, self.scene.time_step))
             return StepRecord(values, events=events, tips=continuum.tips)
         if self._start_energy is None:
             self._start_energy = np.array([reply.potential_energy for reply in atoms])
         for region, reply, start in zip(self.regions, atoms, self._start_energy, strict=True):
             values.update(atom_values(self.scene, region, reply, float(start), alone=len(atoms) == 1))
         values.update(regions_values(self.regions, atoms, self._start_energy))
-        values.update(self._books.enter(continuum, atoms, found.moved, self._reference_force))
-        measured = [one.take(self.step, values) for one in self.measurements]
+        values.update(
+            self._books.enter(continuum, atoms, found.moved, self._reference_force, self.scene.time_step)
+        )
+        # A sample has a crack to measure J at while the tip is among its atoms.
+        legs = [passage.leg for passage in self._passages] or [Leg.ATOMS] * len(atoms)
+        pairs = zip(self.measurements, legs, strict=True)
+        measured = [one.take(self.step, values, cracked=leg is Leg.ATOMS) for one, leg in pairs]
         for passage, reply in zip(self._passages, atoms, strict=False):
             events += passage.follow(continuum, reply, self.step, values)
         return StepRecord(

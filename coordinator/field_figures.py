@@ -286,6 +286,8 @@ def strain_pictures(results: Results, scene: Scene) -> list[Picture]:
         rest = results.atoms.reference[:, :2]
         moved = results.atoms.position(len(results.atoms) - 1)[:, :2]
         parts.append(("atoms", local_strain(rest, moved - rest, ATOM_BIN), ATOM_BIN, RED))
+    if not all(len(part.yy) for _, part, _, _ in parts):  # a row of cells or of atoms has no strain across
+        return []
     applied = applied_strain(results)
     middle = 100 * (applied if applied is not None else float(np.median(continuum.yy)))
     errors = np.concatenate([100 * part.yy - middle for _, part, _, _ in parts])

@@ -28,7 +28,7 @@ the map is 1 + 2 S (n - 1) / n, above 1, so it is unstable without dampers for a
 
 Springs and dampers that follow the weight, kappa W and rho W / tau, have the same S and D everywhere and on any grid,
 since what spreads the springs' forces also spreads the mass. Then S^(1/2) = C c Dt / (m L) with C from 0.67 to 0.74
-whatever the profile; constant weight has C = 0.85 at 1, 2.3 at 0.2 and 4.2 at 0.1, since there the load passes in a
+whatever the profile; constant weight has C = 0.85 at 1, 2.4 at 0.2 and 4.8 at 0.1, since there the load passes in a
 layer of w^2 L. Hence the default: weight 0.05 rising to 1 with the largest exponent that is stable.
 """
 

@@ -79,6 +79,8 @@ class RunOutput:
             ids = coupling.regions[0].atom_id if alone else np.arange(1, len(mass) + 1, dtype=np.int64)
             self._writer.atoms(ids, numbers_of(mass), mass, reference)
             self._writer.interface(**interface_tables(coupling.regions, scene))
+        if coupling.critical is not None:
+            self._writer.crack(coupling.critical.length, coupling.critical.crack)
 
     def row(self, coupling: Coupling, record: StepRecord, computing: dict[str, float], seconds: float) -> None:
         """Add one step.

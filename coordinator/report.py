@@ -47,9 +47,14 @@ _MEASURES: dict[str, tuple[str, str, float]] = {
     "force_balance_max": ("Interface force imbalance, largest", "relative", 1.0),
     "ivc_error_rms_mean": ("Standard error of a cell's force, mean", "nN", 1e-9),
     "ivc_error_to_force": ("Standard error against force", "relative", 1.0),
-    "continuum_energy_drift": ("Energy of the continuum that no work explains", "eV", ELECTRONVOLT),
-    "continuum_energy_drift_relative": ("The same, against the largest energy", "relative", 1.0),
-    "interface_energy_mismatch": ("Work on anchors plus work on continuum", "eV", ELECTRONVOLT),
+    "books_continuum": ("Books of the continuum: what no work explains", "eV", ELECTRONVOLT),
+    "books_continuum_relative": ("The same, against the largest energy passed", "relative", 1.0),
+    "books_interface": ("Books of the interface: what exchange and dampers took", "eV", ELECTRONVOLT),
+    "books_interface_relative": ("The same, against the largest energy passed", "relative", 1.0),
+    "books_atoms": ("Books of the atoms: what no work explains", "eV", ELECTRONVOLT),
+    "books_atoms_relative": ("The same, against the largest energy passed", "relative", 1.0),
+    "crack_length": ("Length of the crack at the start", "Å", ANGSTROM),
+    "critical_crack_length": ("Critical crack length (Eq 1)", "Å", ANGSTROM),
     "courant_max": ("Courant number", "", 1.0),
 }
 
@@ -239,7 +244,7 @@ def _numbers(results: Results, scene: Scene | None, measures: dict[str, float | 
     for name in [*_MEASURES, *(name for name in measures if name not in _MEASURES)]:
         label, unit, size = _in_units(_MEASURES.get(name, (name.replace("_", " "), "", 1.0)), units)
         value = measures.get(name)
-        if name == "continuum_energy_drift" and any(event["kind"] == "growth" for event in results.events):
+        if name == "books_continuum" and any(event["kind"] == "growth" for event in results.events):
             label = "Energy of the continuum that no work explains, growing cracks take it"
         if value is not None:
             rows.append((label, f"{value / size:.4g}", unit))

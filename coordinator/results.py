@@ -141,6 +141,12 @@ class ResultsWriter:
         values = {name: np.array(value) for name, value in zip(_STATIC_INTERFACE, given, strict=True)}
         self._static.append(lambda file: _create_interface(file, values, rings or {}))
 
+    def crack(self, critical: float, own: float) -> None:
+        """Keep the critical crack length of Eq 1 and the length of the scene's crack, m."""
+        self._static.append(
+            lambda file: file.attrs.update({"critical_crack_length": critical, "crack_length": own})
+        )
+
     def row(self, step: int, values: dict[str, float]) -> None:
         """Add one row of the time series.
 
@@ -294,6 +300,10 @@ class Results:
         self.units = {name: str(table[name].attrs["unit"]) for name in self.series}
         interface = file.get("interface", {})
         self.interface: dict[str, Any] = {name: array[:] for name, array in interface.items() if name != "rings"}
+        #: Measures that are known from the start, m.
+        self.measures: dict[str, float] = {
+            name: float(file.attrs[name]) for name in ("critical_crack_length", "crack_length") if name in file.attrs
+        }
         self.rings: dict[str, dict[str, FloatArray]] = {
             region: {name: array[:] for name, array in borders.items()}
             for region, borders in interface.get("rings", {}).items()

@@ -51,6 +51,8 @@ SERIES: dict[str, Series] = {
     "residual_continuum": Series("J", "what the books of the continuum miss by"),
     "residual_atoms": Series("J", "what the books of the atoms miss by"),
     "residual_interface": Series("J", "what the books of the interface miss by"),
+    "residual_momentum_x": Series("kg m/s", "momentum of the atoms that no reaction explains, x"),
+    "residual_momentum_y": Series("kg m/s", "momentum of the atoms that no reaction explains, y"),
     "crack_leg": Series("1", "who carries the crack tip: 0 continuum, 1 atoms, 2 at the far side, 3 continuum beyond"),
     "applied_strain": Series("1", "strain applied by the edges"),
     "edge_force": Series("N", "force of the top edge on the body"),

@@ -47,7 +47,9 @@ SHOWN = frozenset(
 )  # fmt: skip
 
 #: Energies that are drawn only where there are some.
-_OFTEN_ABSENT = ("continuum_load_work", "continuum_interface_work", "continuum_dissipated")
+_OFTEN_ABSENT = (
+    "continuum_load_work", "continuum_interface_work", "continuum_dissipated", "continuum_filter_loss",
+)  # fmt: skip
 
 
 def shown(name: str) -> bool:
@@ -122,6 +124,7 @@ def series_pictures(results: Results, scene: Scene, summary: Summary | None) -> 
             _atomistic_j(curves, scene),
             _tips(curves, scene),
             _energies(curves),
+            _books(curves),
             _temperatures(curves, scene),
             _interface(curves),
             _errors(curves),
@@ -243,11 +246,10 @@ def _energies(curves: Curves) -> Picture | None:
         ("continuum_load_work", "work of loads", GREEN, "--"),
         ("continuum_interface_work", "work of atoms", ORANGE, "--"),
         ("continuum_damping_loss", "damping loss", PURPLE, ":"),
+        ("continuum_filter_loss", "loss of the filter", PALE, ":"),
         ("continuum_dissipated", "plastic flow, friction", RED, ":"),
     ):
-        if name in ("continuum_load_work", "continuum_interface_work", "continuum_dissipated") and not curves.acts(
-            name
-        ):
+        if name in _OFTEN_ABSENT and not curves.acts(name):
             continue
         curves.draw(axes[0], name, label, colour, curves.units.energy[0], dash)
     axes[0].set_ylabel(f"continuum ({curves.units.energy[1]})")
@@ -264,6 +266,27 @@ def _energies(curves: Curves) -> Picture | None:
     axes[-1].set_xlabel(curves.time_label)
     caption = "Solid lines are energies held, dashed lines work done since the start."
     return picture(figure, "Energies", caption)
+
+
+def _books(curves: Curves) -> Picture | None:
+    if not curves.has("residual_continuum"):
+        return None
+    figure, (axes,) = panels(1, 2.6)
+    size, unit = (ELECTRONVOLT, "eV") if curves.has("residual_atoms") else curves.units.energy
+    for name, label, colour in (
+        ("residual_continuum", "continuum", BLUE),
+        ("residual_interface", "interface", GREEN),
+        ("residual_atoms", "atoms", RED),
+    ):
+        if curves.has(name):
+            curves.draw(axes, name, label, colour, size)
+    axes.set(xlabel=curves.time_label, ylabel=f"missed by ({unit})")
+    _legend(axes)
+    caption = (
+        "What the change of the energy held and the work measured apart from it differ by: time stepping in"
+        " continuum and atoms; at the interface the age of the force, and what dampers take there."
+    )
+    return picture(figure, "Books of energy", caption)
 
 
 def _temperatures(curves: Curves, scene: Scene) -> Picture | None:

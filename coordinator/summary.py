@@ -9,6 +9,7 @@ import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt
 
 from coordinator.results import Results
@@ -126,35 +127,20 @@ def measures_of(results: Results) -> tuple[dict[str, float | None], dict[str, st
     add("ivc_error_rms_mean", "N", None if error is None else error.mean())
     ratio = None if error is None or force is None or force.mean() == 0 else error.mean() / force.mean()
     add("ivc_error_to_force", "1", ratio)
-    balance, scale = energy_drift(series)
-    add("continuum_energy_drift", "J", balance)
-    add("continuum_energy_drift_relative", "1", None if balance is None or not scale else balance / scale)
-    given, taken = clean("anchor_work"), clean("continuum_interface_work")
-    passed = None if given is None or taken is None else given[-1] + taken[-1]
-    # Zero if the reference forces did no work: anchors get what the continuum gives.
-    add("interface_energy_mismatch", "J", passed)
+    scale = energy_passed(series)
+    for part in ("continuum", "atoms", "interface"):
+        residual = clean(f"residual_{part}")
+        if residual is not None:
+            add(f"books_{part}", "J", residual[-1])
+            add(f"books_{part}_relative", "1", residual[-1] / scale if scale else None)
+    for name, value in results.measures.items():
+        add(name, "m", value)
     return measures, units
 
 
-def energy_drift(series: dict[str, Any]) -> tuple[float | None, float]:
-    """Return the energy that the continuum gained without work, at the end, and the largest energy passed, J.
-
-    Gained is (kinetic + strain + what damping, plastic flow and friction took) - (work of edges,
-    of the interface and of loads), against the start.
-    """
-    names = (
-        "continuum_kinetic",
-        "continuum_strain",
-        "continuum_damping_loss",
-        "continuum_dissipated",
-    )
-    works = ("continuum_edge_work", "continuum_interface_work", "continuum_load_work")
-    if not all(name in series for name in (*names[:2], works[0])):
-        return None, 0.0
-    zero = 0.0 * series[names[0]]
-    held = sum(series.get(name, zero) for name in names)
-    work = sum(series.get(name, zero) for name in works)
-    gained = (held - work) - (held - work)[0] if len(zero) else zero
-    if not len(gained) or not math.isfinite(gained[-1]):
-        return None, 0.0
-    return float(gained[-1]), float(max(abs(held).max(), abs(work).max()))
+def energy_passed(series: dict[str, Any]) -> float:
+    """Return the largest energy that a part of the run held or passed on since the start, J."""
+    names = ("continuum_edge_work", "continuum_load_work", "continuum_interface_work", "continuum_kinetic",
+             "continuum_strain")  # fmt: skip
+    found = [series[name] - series[name][0] for name in names if name in series and len(series[name])]
+    return float(max((np.nanmax(np.abs(values)) for values in found), default=0.0))

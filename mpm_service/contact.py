@@ -9,6 +9,8 @@ momentum is kept exactly.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -24,6 +26,21 @@ FRICTIONLESS, STICK, COULOMB = range(3)
 # the first round, at which they end.
 _ROUNDS = 50
 _SETTLED = 1e-12
+
+
+class Facing(NamedTuple):
+    """Pairs of velocity fields of a node that a crack parts."""
+
+    node: IntArray
+    """(m, 2) rows of the left and the right field."""
+    normal: FloatArray
+    """(m, 2) unit normal of the crack, to its left."""
+    gap: FloatArray
+    """(m,) [m], not negative."""
+    friction: FloatArray
+    """(m,) coefficient, infinite where faces stick."""
+    mark: IntArray
+    """(m,) name of the pair, the same while a crack moves."""
 
 
 @njit(cache=True, nogil=True)
@@ -151,3 +168,47 @@ def press_faces(
             if change <= _SETTLED * first_change:
                 break
     return taken
+
+
+@njit(cache=True, nogil=True)
+def list_facing(
+    near_node: IntArray,
+    base: int,
+    capacity: int,
+    pairs: Pairs,
+    joints: Joints,
+    pattern: IntArray,
+    momentum: FloatArray,
+    node: IntArray,
+    of_pair: IntArray,
+    mark: IntArray,
+) -> int:
+    """List the pairs of velocity fields that a crack parts at a node, for statics; returns their number.
+
+    ``node`` (m, 2) gets the rows of the left and the right field, ``of_pair`` (m,) the node-crack pair that holds
+    normal and gap, ``mark`` (m,) a number that stays the same while the near nodes change: nine for each grid node.
+    """
+    made = 0
+    row = np.zeros(3, dtype=np.int64)
+    bits = np.zeros(3, dtype=np.int64)
+    for k in range(near_node.size):
+        row[0] = near_node[k]
+        for slot in range(2):
+            row[1 + slot] = base + slot * capacity + k
+            bits[1 + slot] = pattern[k, slot]
+        for f in range(3):
+            for g in range(f + 1, 3):
+                if (f > 0 and bits[f] == 0) or bits[g] == 0:
+                    continue
+                if not (momentum[row[f], 0] > 0.0 and momentum[row[g], 0] > 0.0):
+                    continue
+                q = _parting_pair(pairs, joints.branch, joints.main, k, bits[f] ^ bits[g])
+                if q < 0:
+                    continue
+                on_left = ((bits[f] >> pairs.crack[q]) & 1 == 0) == pairs.left[q]
+                node[made, 0] = row[f] if on_left else row[g]
+                node[made, 1] = row[g] if on_left else row[f]
+                of_pair[made] = q
+                mark[made] = 9 * near_node[k] + 3 * f + g
+                made += 1
+    return made

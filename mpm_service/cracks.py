@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from .contact import press_faces
+from .contact import STICK, Facing, list_facing, press_faces
 from .crack_ends import cut_line, end_of, find_joints, has_material_ahead
 from .crack_extension import check_extension
 from .crack_faces import Markers, empty_markers, fit_faces, move_faces, place_markers, tie_loose_faces
@@ -398,6 +398,32 @@ class CrackSet:
                 float(time_step),
                 increment_column,
             )
+        )
+
+    def facing(self, momentum: FloatArray) -> Facing:
+        """Pairs of velocity fields with material (``momentum`` as in `hold`) that a crack parts at a node."""
+        most = 3 * self._near_node.size
+        node, pair, mark = np.zeros((most, 2), dtype=np.int64), np.zeros(most, dtype=np.int64), np.zeros(most, np.int64)
+        made = list_facing(
+            self._near_node,
+            self.field_map.base,
+            self._capacity,
+            self._pairs,
+            self._joints,
+            self._pattern,
+            momentum,
+            node,
+            pair,
+            mark,
+        )
+        pair = pair[:made]
+        crack = self._pairs.crack[pair]
+        return Facing(
+            node[:made],
+            self._pairs.normal[pair],
+            np.maximum(self._pairs.gap[pair], 0.0),
+            np.where(self._law[crack] == STICK, np.inf, self._friction[crack]),
+            mark[:made],
         )
 
     def move(self, rows: FloatArray, row_of: IntArray) -> None:

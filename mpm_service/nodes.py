@@ -68,6 +68,27 @@ def kinetic_energy(listed: IntArray, momentum: FloatArray, motion: FloatArray) -
 
 
 @njit(cache=True, nogil=True)
+def keep_forces(listed: IntArray, momentum: FloatArray, internal: FloatArray) -> None:
+    """Copy the forces out of `momentum`."""
+    dim = internal.shape[1]
+    for i in range(listed.size):
+        n = listed[i]
+        for a in range(dim):
+            internal[n, a] = momentum[n, 1 + dim + a]
+
+
+@njit(cache=True, nogil=True)
+def power(listed: IntArray, force: FloatArray, velocity: FloatArray) -> float:
+    """Power of forces (R, d) on nodes that move with the velocities in the first columns of a table [W]."""
+    total = 0.0
+    for i in range(listed.size):
+        n = listed[i]
+        for a in range(force.shape[1]):
+            total += force[n, a] * velocity[n, a]
+    return total
+
+
+@njit(cache=True, nogil=True)
 def halfway(listed: IntArray, momentum: FloatArray, motion: FloatArray, keep: float, out: FloatArray) -> float:
     """Velocities with which forces do their work in a step; returns the gain of the nodes' kinetic energy [J].
 
@@ -85,19 +106,6 @@ def halfway(listed: IntArray, momentum: FloatArray, motion: FloatArray, keep: fl
             out[n, a] = 0.5 * (new * undamped + new - change)
             gain += mass * change * (new - 0.5 * change)
     return gain
-
-
-@njit(cache=True, nogil=True)
-def force_power(listed: IntArray, momentum: FloatArray) -> float:
-    """Power of the forces on the nodes [W]."""
-    dim = (momentum.shape[1] - 1) // 2
-    power = 0.0
-    for i in range(listed.size):
-        n = listed[i]
-        if momentum[n, 0] > 0.0:
-            for a in range(dim):
-                power += momentum[n, 1 + a] * momentum[n, 1 + dim + a] / momentum[n, 0]
-    return power
 
 
 @njit(cache=True, nogil=True)

@@ -26,7 +26,6 @@ from .reference_step import ReferenceStep
 from .scheme import Scheme
 from .set_up import check_cells, check_set_up, checked_array
 from .solver import Energies
-from .time_integration import STRESS_LEAD
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -157,18 +156,17 @@ class ReferenceSolver:
     def energies(self) -> Energies:
         """Energies now and work so far [J]."""
         alive, kinetic = self.points.alive, self._run.kinetic_energy
-        lag = STRESS_LEAD[self.scheme.integration] * self.time_step * self._run.stress_power(self._step)
         edge_work, interface_work, damping_loss, unfiltered = (float(value) for value in self._run.totals)
         return Energies(
             kinetic,
-            float(np.sum(self.points.strain_energy[alive])) + lag,
+            float(np.sum(self.points.strain_energy[alive])) + self._run.pending_work(self._step),
             edge_work,
             interface_work,
             0.0,
             damping_loss,
             0.0,
             float(np.sum(self._table.by_material("dissipated"))),
-            unfiltered - kinetic,
+            unfiltered - kinetic / self.damping.force_factor,
         )
 
     @property
@@ -184,7 +182,7 @@ class ReferenceSolver:
         self._table.points.rows[rows, first : first + count] = checked_array(
             "velocity", velocity, self.body.position.shape
         )
-        self._run.totals[-1] = self._run.kinetic_energy
+        self._run.totals[-1] = self._run.kinetic_energy / self.damping.force_factor
 
     # ---- coupling ----------------------------------------------------------------------------------
 
@@ -273,7 +271,8 @@ class ReferenceSolver:
         return {
             "step": np.array([self._step], dtype=np.int64),
             "alive": np.array([run.alive], dtype=np.int64),
-            "totals": np.array([*run.totals, run.travel]),
+            "totals": np.array([*run.totals, run.pending, run.travel]),
+            "strain_velocity": run.strain_velocity.copy(),
             "edge_reaction": run.reaction.copy(),
             "anchor_displacement": run.anchor_displacement.copy(),
             "anchor_velocity": run.anchor_velocity.copy(),
@@ -298,7 +297,9 @@ class ReferenceSolver:
                 raise ValueError("state['set_up']: belongs to another grid or time step")
         run = self._run
         self._step, run.alive = int(state["step"][0]), int(state["alive"][0])
-        run.totals, run.travel = np.array(state["totals"][:-1]), float(state["totals"][-1])
+        run.totals = np.array(state["totals"][:-2])
+        run.pending, run.travel = (float(value) for value in state["totals"][-2:])
+        run.strain_velocity = np.array(state["strain_velocity"])
         run.reaction = np.array(state["edge_reaction"])
         run.anchor_displacement = np.array(state["anchor_displacement"])
         run.anchor_velocity = np.array(state["anchor_velocity"])

@@ -66,7 +66,11 @@ class ReferenceStep:
         Upper bound of any point's way since lost points were last looked for [m].
     totals : (4,) ndarray
         Work of edges, work of interface forces, loss by damping since step 0, and the kinetic energy that the points
-        would have, had none been lost on the way to the nodes and back [J].
+        would have, had the way to the nodes and back taken nothing [J].
+    strain_velocity : (rows, d) ndarray
+        Nodal velocity of the last strain update [m/s].
+    pending : float
+        Duration of that update as long as the second half of its work is not booked [s].
     reaction : (k,) ndarray
         Force of each edge condition on the body in the last step [N].
     anchor, anchor_displacement, anchor_velocity : (n, d) ndarray
@@ -97,6 +101,8 @@ class ReferenceStep:
         self.alive = body.count
         self.travel = 0.0
         self.totals = np.zeros(4)
+        self.strain_velocity = np.zeros((self._grid_rows * cracks.field_count, d))
+        self.pending = 0.0
         self.reaction = np.zeros(len(edges))
         self.place_anchors(np.zeros((0, d)), np.zeros((0, d)))
 
@@ -111,13 +117,15 @@ class ReferenceStep:
         nodes = self._gather(self._edge_motion(0)[2])
         return np.flatnonzero(self._anchor_reader(nodes.mass).sum(axis=1) == 0.0)
 
-    def stress_power(self, number: int) -> float:
-        """Power of the internal forces on the nodes' velocities before step `number` [W]."""
+    def pending_work(self, number: int) -> float:
+        """Work of the internal forces, before step `number`, in the second half of the last strain update [J]."""
         if self.travel > TRAVEL * self.grid.cell_size:
             self._drop_lost()
         self.cracks.follow(self.positions_by_id())
-        nodes = self._gather(self._edge_motion(number)[2])
-        return -float(np.sum(self._stress_divergence(nodes) * nodes.velocity))
+        return self._pending_work(self._gather(self._edge_motion(number)[2]))
+
+    def _pending_work(self, nodes: _Nodes) -> float:
+        return -0.5 * self.pending * float(np.sum(self._stress_divergence(nodes) * self.strain_velocity))
 
     def advance(self, number: int, push: FloatArray, pull: FloatArray) -> None:
         """Make the step from `number` to `number` + 1.
@@ -141,15 +149,18 @@ class ReferenceStep:
         self.cracks.follow(self.positions_by_id())
         before, after, edge_place = self._edge_motion(number)
         nodes = self._gather(edge_place)
+        self._book_second_half(nodes)
         share = 0.5 if scheme.integration == "usavg" else 1.0
         if scheme.integration in ("usf", "usavg"):
             self._deform(nodes, self._constrained(nodes, nodes.velocity, before), share * dt)
             nodes = self._gather(edge_place)  # domains that convect have changed
+            self._book_second_half(nodes)
 
         position, velocity = self._part("position"), self._part("velocity")
         push = push[self.table.points.ids[: self.alive]]
         reader = self._anchor_reader(nodes.mass)
-        force = nodes.shape.T @ push + reader.T @ pull - self._stress_divergence(nodes)
+        inner = -self._stress_divergence(nodes)
+        force = nodes.shape.T @ push + reader.T @ pull + inner
         factor = self.damping.force_factor  # reactions are those of a body of masses over it, see `Damping`
         force *= factor
         free, increment, self.reaction, work, loss = nodes.rule.accelerate(
@@ -158,8 +169,9 @@ class ReferenceStep:
         self.reaction, work = self.reaction / factor, work / factor
         new = self.cracks.press(nodes.mass, free, dt)
         increment += new - free
-        gain = float(np.sum(nodes.mass[:, None] * increment * (new - 0.5 * increment)))
+        gain = float(np.sum(nodes.mass[:, None] * increment * (new - 0.5 * increment))) / factor
         halfway = 0.5 * (new / keep + new - increment)  # forces do their work with the mean of old and undamped new
+        gain -= dt * float(np.sum(inner * halfway))
         pushed = dt * float(np.sum(push * (nodes.shape @ halfway)) + np.sum(pull * (reader @ halfway)))
 
         carrier = new  # the nodal velocity that moves points and anchors
@@ -173,8 +185,6 @@ class ReferenceStep:
             velocity[:] = nodes.shape @ carrier
         moved = dt * (nodes.shape @ carrier)
         self._stop_runaway(number, moved)
-        self.anchor_velocity = reader @ carrier
-        self.anchor_displacement = self.anchor_displacement + dt * self.anchor_velocity
 
         if scheme.integration == "usl":
             self._deform(nodes, carrier, dt)
@@ -183,12 +193,15 @@ class ReferenceStep:
             if filters and scheme.transfer == "fmpm":
                 mapped += STRAIN_SHARE * (self._filtered(nodes, mapped, after) - mapped)
             self._deform(nodes, mapped, share * dt)
+        # Anchors move with the strain: the gradient of their displacement is then the one that the points carry.
+        self.anchor_velocity = reader @ (carrier if scheme.integration == "usf" else self.strain_velocity)
+        self.anchor_displacement = self.anchor_displacement + dt * self.anchor_velocity
         position += moved
         self._part("increment")[:] = moved
         left = self.damping.point_factor(dt)
         lost = (1.0 - left**2) * self.kinetic_energy
         velocity *= left
-        self.totals += work, pushed, loss + lost, gain - lost
+        self.totals += work, pushed, loss + lost, gain - lost / factor
         self.travel += float(np.max(np.abs(moved), initial=0.0))
 
     # ---- between points and nodes ------------------------------------------------------------------
@@ -221,11 +234,20 @@ class ReferenceStep:
         return field
 
     def _deform(self, nodes: _Nodes, velocity: FloatArray, duration: float) -> None:
-        """Let F grow by the nodal velocity's gradient for a time, and ask the material for stress (Eqs 22-24)."""
+        """Let F grow by the nodal velocity's gradient for a time, and ask the material for stress (Eqs 22-24).
+
+        Books the first half of the work of the internal forces; see `time_integration`.
+        """
+        self.totals[-1] -= 0.5 * duration * float(np.sum(self._stress_divergence(nodes) * velocity))
+        self.strain_velocity, self.pending = velocity, duration
         rate = np.stack([slope @ velocity for slope in nodes.slopes], axis=2)
         gradient = self._gradient()
         gradient += duration * (rate + rate @ gradient)
         self.table.update_stress(slice(0, self.alive))
+
+    def _book_second_half(self, nodes: _Nodes) -> None:
+        self.totals[-1] += self._pending_work(nodes)
+        self.pending = 0.0
 
     def _stress_divergence(self, nodes: _Nodes) -> FloatArray:
         """Sum of reference volume times Kirchhoff stress times gradient (Eq 11), (rows, d) [N]."""
@@ -317,7 +339,7 @@ class ReferenceStep:
         before = self.kinetic_energy
         self.table.points = Points(rows[order], ids[order], np.argsort(ids[order]))
         self.alive = int(inside.sum())
-        self.totals[-1] += self.kinetic_energy - before
+        self.totals[-1] += (self.kinetic_energy - before) / self.damping.force_factor
         self.travel = 0.0
 
     def _stop_runaway(self, number: int, moved: FloatArray) -> None:

@@ -32,7 +32,7 @@ from .scheme import Scheme
 from .set_up import check_cells, check_set_up, checked_array, largest_time_step
 from .splitting import find_oversized, split_points
 from .static_solution import Equilibrium, StaticSolution
-from .time_integration import STRESS_LEAD, Nodes, TimeIntegration
+from .time_integration import Nodes, TimeIntegration
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -57,7 +57,7 @@ class Energies:
     dissipated : float
         By the materials.
     filter_loss : float
-        Kinetic energy that was lost on the way from points to nodes and back; the balance is in `time_integration`.
+        Lost on the way from points to nodes and back; the balance is in `time_integration`.
     """
 
     kinetic: float
@@ -194,7 +194,7 @@ class MaterialPointSolver:
         self._step = 0
         self._set_loads()
         self.points = PointView(self._table, lambda: self._mapping.alive)
-        self._integration.totals.unfiltered = self.kinetic_energy
+        self._integration.totals.unfiltered = self.kinetic_energy / self.damping.force_factor
         self._sort()
 
     # ---- what a run can ask ----------------------------------------------------------------------------
@@ -279,30 +279,21 @@ class MaterialPointSolver:
 
     def energies(self) -> Energies:
         """Energies now and work so far [J]."""
+        if self._integration.must_sort():
+            self._sort()
         totals = self._integration.totals
         kinetic = self.kinetic_energy
         return Energies(
             kinetic,
-            self._table.total("strain_energy", self._mapping.alive) + self._lag(),
+            self._table.total("strain_energy", self._mapping.alive) + self._integration.pending_work(),
             totals.edge_work,
             self._cells.work + self._anchors.work,
             self._applied.work if self._applied else 0.0,
             totals.damping_loss,
             totals.friction_loss,
             self._table.total("dissipated", self._mapping.alive),
-            totals.unfiltered - kinetic,
+            totals.unfiltered - kinetic / self.damping.force_factor,
         )
-
-    def _lag(self) -> float:
-        """Work of the stresses between the time that they belong to and the time of the velocities [J].
-
-        Velocities lie half a step from positions; without it the sum of kinetic and strain energy would swing about
-        the true one by the first order of the time step. With stress halves before and after (USAVG) there is none.
-        """
-        run = self._integration
-        if run.must_sort():
-            self._sort()
-        return STRESS_LEAD[self.scheme.integration] * self.time_step * run.stress_power()
 
     def stop(self) -> None:
         """Set the velocities of all points to zero."""
@@ -316,11 +307,15 @@ class MaterialPointSolver:
         self._set_velocity(values[self._table.points.ids])
 
     def _set_velocity(self, velocity: FloatArray | float) -> None:
-        """Set the velocities of the rows [m/s]; what that changes of the kinetic energy is no loss of the filter."""
+        """Set the velocities of the rows [m/s]."""
         c = self._table.columns
         before = self.kinetic_energy
         self._table.points.rows[:, c.velocity : c.gradient] = velocity
-        self._integration.totals.unfiltered += self.kinetic_energy - before
+        self._book_change(before)
+
+    def _book_change(self, before: float) -> None:
+        """What has changed the kinetic energy from outside is no loss."""
+        self._integration.totals.unfiltered += (self.kinetic_energy - before) / self.damping.force_factor
 
     def deform(self, displacement: ArrayLike, gradient: ArrayLike) -> None:
         """Give each point, by id, a displacement and ``F - I``, and the stress of it, before the first step.
@@ -407,7 +402,7 @@ class MaterialPointSolver:
             self.cracks.move(points.rows, points.row_of)
             self.cracks.follow()
         self._sort()
-        self._integration.totals.unfiltered = self.kinetic_energy
+        self._integration.totals.unfiltered = self.kinetic_energy / self.damping.force_factor
 
     # ---- coupling --------------------------------------------------------------------------------------
 
@@ -556,10 +551,11 @@ class MaterialPointSolver:
     def _sort(self) -> None:
         """Drop lost points, split those that have entered finer cells, sort."""
         mapping = self._mapping
-        before = mapping.alive, self.kinetic_energy
+        self._integration.settle()
+        living, before = mapping.alive, self.kinetic_energy
         mapping.drop_lost()
-        if mapping.alive < before[0]:
-            self._integration.totals.unfiltered += self.kinetic_energy - before[1]
+        if mapping.alive < living:
+            self._book_change(before)
         if isinstance(self.grid, HierarchicalGrid):
             while True:
                 rows = self._table.points.rows
@@ -595,11 +591,13 @@ class MaterialPointSolver:
                     self._integration.residual,
                     float(self._integration.at_rest),
                     totals.unfiltered,
+                    totals.pending,
                 ]
             ),
             "edge_reaction": self._integration.boundary.reaction.copy(),
             "anchor_displacement": self._anchors.displacement.copy(),
             "anchor_velocity": self._anchors.velocity.copy(),
+            "strain_velocity": self._integration.strain_velocity[self._mapping.active, : self.body.dimension],
         }
         state |= self._table.state() | self._mapping.state()
         if self.cracks is not None:
@@ -625,6 +623,11 @@ class MaterialPointSolver:
             raise ValueError(
                 f"state['rows']: shape {np.shape(state['rows'])} does not fit a body of {self.body.count} points"
             )
+        shape = (np.size(state["active"]), self.body.dimension)
+        if np.shape(state["strain_velocity"]) != shape:
+            raise ValueError(
+                f"state['strain_velocity']: shape {shape} is needed, got {np.shape(state['strain_velocity'])}"
+            )
         for name in ("configuration", "totals", "edge_reaction", "anchor_displacement", "anchor_velocity", "begin"):
             if np.shape(state[name]) != here[name].shape:
                 raise ValueError(f"state[{name!r}]: shape {here[name].shape} is needed, got {np.shape(state[name])}")
@@ -644,7 +647,7 @@ class MaterialPointSolver:
             self._applied.work = values[5]
         self._integration.residual = values[6]
         self._integration.at_rest = bool(values[7])
-        totals.unfiltered = values[8]
+        totals.unfiltered, totals.pending = values[8:10]
         self._integration.boundary.reaction[:] = state["edge_reaction"]
         self._anchors.displacement[:] = state["anchor_displacement"]
         self._anchors.velocity[:] = state["anchor_velocity"]
@@ -654,6 +657,7 @@ class MaterialPointSolver:
             self.cracks.set_points(self._table.reference)
             self.cracks.restore(state)
             self._integration.make_room()
+        self._integration.strain_velocity[self._mapping.active, : self.body.dimension] = state["strain_velocity"]
 
     # ---- inner -----------------------------------------------------------------------------------------
 

@@ -31,6 +31,7 @@ from .boundary_set import Constraints
 from .errors import SolverError
 from .interface import Anchors
 from .point_table import PointTable
+from .static_contact import ClosedFaces
 from .static_stiffness import assemble_stiffness
 from .time_integration import TimeIntegration
 
@@ -44,6 +45,8 @@ _SUPPORT = 1e-8
 _LEAST_STIFFNESS = 1e-14
 # Largest displacement gradient of an iteration; a larger one is cut to it.
 _LARGEST_GRADIENT = 0.5
+# Rounds of an iteration in which crack faces are closed and let go.
+_ROUNDS = 20
 
 
 @dataclass(frozen=True)
@@ -84,8 +87,10 @@ class StaticSolution:
         self._table = table
         self._anchors = anchors
         self._sort = sort
+        #: Share of their approach that the faces of the body have made.
         self._share = 0.0
-        """Of their approach that the faces have made."""
+        #: Forces between closed crack faces.
+        self._pressing: dict[int, FloatArray] = {}
 
     def solve(self, tolerance: float, max_steps: int, told: Callable[[int], None]) -> Equilibrium:
         """Iterate until the residual is at most the tolerance.
@@ -102,7 +107,9 @@ class StaticSolution:
             system = self._gather()
             if (self._share == 1.0 and system.residual <= tolerance) or done == max_steps:
                 return Equilibrium(system.residual, done, self._share == 1.0 and system.residual <= tolerance)
-            self._move(system.rows, system.solve(self._stiffness(system.number, system.rows.size)), done)
+            displacement = system.solve(self._stiffness(system.number, system.rows.size))
+            self._pressing = system.faces.forces if system.faces is not None else {}
+            self._move(system.rows, displacement, done)
             done += 1
 
     def _gather(self) -> _System:
@@ -129,6 +136,9 @@ class StaticSolution:
         rows = active[momentum[active, 0] > 0.0]
         number = np.full(momentum.shape[0], -1, dtype=np.int64)
         number[rows] = np.arange(rows.size)
+        faces = None
+        if run.cracks is not None:
+            faces = ClosedFaces(run.cracks.facing(momentum), number, rows.size, self._pressing)
         return _System(
             rows,
             number,
@@ -137,6 +147,7 @@ class StaticSolution:
             (momentum[rows, pull] - internal[rows]).ravel(),
             (rows >= mapping.levels.offset[-2]) & (rows < mapping.levels.offset[-1]),
             run.boundary.constraints(momentum),
+            faces,
         )
 
     def _stiffness(self, number: IntArray, count: int) -> csc_matrix:
@@ -195,6 +206,7 @@ class _System:
         Rows of the nodal tables that carry material.
     number : (R,) ndarray of int
         Their numbers, -1 for the other rows.
+    faces : ClosedFaces or None
     residual : float
     """
 
@@ -207,8 +219,9 @@ class _System:
         external: FloatArray,
         centre: BoolArray,
         held: Constraints,
+        faces: ClosedFaces | None,
     ) -> None:
-        self.rows, self.number = rows, number
+        self.rows, self.number, self.faces = rows, number, faces
         dimension = internal.size // max(rows.size, 1)
         self._mass = np.repeat(mass, dimension)
         self._centre = np.repeat(centre, dimension)
@@ -236,22 +249,39 @@ class _System:
         self._own = own
         reaction = (1.0 - held.ratio) * self._force[follower]
         scale = max(float(np.linalg.norm(part)) for part in (internal, external, reaction))
-        self.residual = float(np.linalg.norm(self._free.T @ self._force)) / scale if scale > 0.0 else 0.0
+        unbalanced = self._force if faces is None else self._force + faces.push
+        self.residual = float(np.linalg.norm(self._free.T @ unbalanced)) / scale if scale > 0.0 else 0.0
 
     def solve(self, stiffness: csc_matrix) -> FloatArray:
         """Return displacements that would bring the forces to balance [m], (n d,)."""
+        if self.faces is None:
+            return self._solve(stiffness, self._force)
+        stiff = stiffness.diagonal().reshape(self.rows.size, -1).max(axis=1)
+        for _ in range(_ROUNDS):
+            springs = self.faces.springs(stiff)
+            reach = springs.reach.T
+            stiffened = stiffness + reach @ diags(springs.stiffness) @ springs.reach
+            force = self._force + reach @ (springs.force - springs.stiffness * springs.gap)
+            found = self._solve(stiffened, force)
+            if self.faces.settle(springs, found):
+                break
+        return found
+
+    def _solve(self, stiffness: csc_matrix, force: FloatArray) -> FloatArray:
         free = self._free
         matrix = (free.T @ stiffness @ free).tocsc()
         stiff = matrix.diagonal()
-        kept = stiff > _LEAST_STIFFNESS * stiff.max(initial=0.0)
-        pull = (free.T @ (self._force - stiffness @ self._offset))[kept]
         mass = (free.T @ diags(self._mass) @ free).diagonal()
+        kept = stiff > _LEAST_STIFFNESS * stiff.max(initial=0.0)
+        if not np.any(kept):
+            return self._offset
+        pull = (free.T @ (force - stiffness @ self._offset))[kept]
         # What the components that are left out bear would let a body that nothing holds drift, a little in each
         # iteration: it is spread over the mass.
         for loose in self._loose:
             mine = loose[kept]
             pull[mine] -= mass[kept][mine] * (pull[mine].sum() / mass[kept][mine].sum())
-        support = _SUPPORT * stiff.max(initial=0.0) / mass.sum() * mass
+        support = _SUPPORT * stiff.max() / mass.sum() * mass
         matrix = matrix[kept][:, kept] + diags(support[kept])
         scale = 1.0 / np.sqrt(stiff[kept] + support[kept])
         scaled = (diags(scale) @ matrix @ diags(scale)).tocsc()
@@ -260,5 +290,6 @@ class _System:
         found[kept] = scale * factors.solve(scale * pull)
         for loose in self._loose:
             mine = loose & kept & self._centre[self._own]
-            found[loose] -= np.average(found[mine], weights=mass[mine])
+            if np.any(mine):
+                found[loose] -= np.average(found[mine], weights=mass[mine])
         return np.asarray(free @ found + self._offset)

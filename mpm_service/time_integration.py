@@ -20,21 +20,23 @@ a = `STRAIN_SHARE`: on a uniform lattice with two points a cell waves of number 
 a = 1 sends them ahead of it. Filtering v_new itself, without mapping it again, would do the same to long waves, but
 it amplifies the shortest ones, which the mapping suppresses: it is unstable from a Courant number of about 0.4.
 
-Energy. With K the kinetic energy of the points and the sums over nodes, a step of any scheme keeps the account
+Energy. Sums over nodes of force times velocity hold what a step does with it. With K the kinetic energy of the points,
+V their strain energy, v_old and v_new the nodal velocities before and after the momentum update, v_s that of the
+strain update, f the internal force at its start and f' that after it (found in the next step):
 
-    K_after = K_before + dt sum (f_int + f_ext) (v_old + v_new)/2 + edge work - damping loss - filter loss
+    nodes     K(v_new) - K(v_old) = dt sum (f + f_ext) (v_old + v_new)/2 + edge work - damping loss
+    strain    V' - V              = -dt sum (f + f')/2 v_s
 
-to round-off: the change of the nodes' kinetic energy is the work of their forces and impulses with the mean of old
-and new velocity, and the filter loss is what is left. It holds the way to the nodes and back: K_before less the energy
-of v_old, and the energy of v_new less K_after. All works are booked in this way.
+The first is exact, and all works are booked with the same mean velocity; the second is exact for a law that is linear.
+What the way to the nodes and back takes is the rest of each:
 
-What is not of this account is that strain energy grows by the velocities of the strain update. With T = S+ S these are
-``T Q v_new`` or, for FMPM, ``(1 + a (1 - T))`` times that. The sum of all energies and works then
+    filter    [K - K(v_old)] + [K(v_new) - K'] + dt sum f (v_old + v_new)/2 - dt sum (f + f')/2 v_s
 
-- swings by ``a (1 - T)``, 0.13 (k h)^2, of the strain energy of a wave of number k with FMPM(2), whatever dt is;
-- grows by ``dt^2/4 sum m a (1 - T)^2 a`` a step with FMPM(2), a the nodes' acceleration, which is of the order of dt
-  and comes from face nodes and the shortest waves; by ``dt^2/2 sum m a (1 - T) a`` with FLIP and MUSL or USF, which is
-  all of its filter loss: what the points lose there, their strain energy gets.
+The last two of its terms matter: what points lose with FLIP and MUSL or USF their strain energy gets, and with FMPM
+short waves that are forced put more into strain than the nodes gave. A velocity lies half a step before the place and
+the stress that it leads to, so V is told less the half of the last strain update that f' has not been booked for:
+otherwise K + V would swing by the first order of dt. (USF updates the strain at the start of a step; with it the swing
+is in the filter loss.)
 """
 
 from __future__ import annotations
@@ -51,15 +53,13 @@ from .boundary_set import BoundarySet
 from .cracks import CrackSet
 from .damping import Damping, ForceBalance, damp_points, scale_forces
 from .mapping import TRAVEL, Mapping
-from .scheme import Integration, Scheme
+from .scheme import Scheme
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 #: Share of the filtered velocity in the strain update of FMPM(k > 1).
 STRAIN_SHARE = 0.7
-#: How far ahead of the time of the velocities the stresses are between two steps [steps].
-STRESS_LEAD: dict[Integration, float] = {"usf": -0.5, "usl": 0.5, "musl": 0.5, "usavg": 0.0}
 
 
 class Nodes(NamedTuple):
@@ -75,6 +75,8 @@ class Nodes(NamedTuple):
     """(R, d) Q_k of a velocity."""
     returned: FloatArray
     """(R, d) zero between passes of the filter."""
+    internal: FloatArray
+    """(R, d) internal force."""
 
     @classmethod
     def zeros(cls, rows: int, dimension: int) -> Nodes:
@@ -82,7 +84,7 @@ class Nodes(NamedTuple):
         return cls(
             np.zeros((rows, 1 + 2 * dimension)),
             np.zeros((rows, 2 * dimension)),
-            *(np.zeros((rows, dimension)) for _ in range(3)),
+            *(np.zeros((rows, dimension)) for _ in range(4)),
         )
 
 
@@ -94,7 +96,9 @@ class Totals:
     damping_loss: float = 0.0
     friction_loss: float = 0.0
     unfiltered: float = 0.0
-    """Kinetic energy that the points would have, had none been lost on the way to the nodes and back."""
+    """Kinetic energy that the points would have, had the way to the nodes and back taken nothing."""
+    pending: float = 0.0
+    """Duration of the last strain update as long as the second half of its work is not booked [s]."""
 
 
 class NodalLoad(Protocol):
@@ -168,8 +172,27 @@ class TimeIntegration:
                 return True
         return self.mapping.travel > TRAVEL * self.mapping.smallest_cell
 
+    def settle(self) -> None:
+        """Book what is pending, before the order of points or nodes changes."""
+        if self.cracks is None or not self.cracks.changed:
+            self.totals.unfiltered += self.pending_work()
+        self.totals.pending = 0.0
+
+    def pending_work(self) -> float:
+        """Work of the internal forces, as they are between two steps, in the second half of the last strain update."""
+        if self.totals.pending == 0.0:
+            return 0.0
+        self.gather_state()
+        force = self.nodes.momentum[:, 1 + self.mapping.columns.dimension :]
+        return float(0.5 * self.totals.pending * node_kernels.power(self.mapping.active, force, self.strain_velocity))
+
+    @property
+    def strain_velocity(self) -> FloatArray:
+        """Nodal velocity of the last strain update, in the first columns."""
+        return self.nodes.motion if self.scheme.integration == "usl" else self.nodes.velocity
+
     def sort(self) -> None:
-        """Sort the points."""
+        """Sort the points; `settle` first."""
         self.make_room()
         self.mapping.sort(self.nodes)
         if self.cracks is not None:
@@ -189,12 +212,6 @@ class TimeIntegration:
         node_kernels.clear(self.mapping.active, self.nodes.momentum)
         self.mapping.scatter_state(self.nodes.momentum)
 
-    def stress_power(self) -> float:
-        """Power of the internal forces on the nodes' velocities as they are between two steps [W]."""
-        self.gather_state()
-        node_kernels.drop_slivers(self.mapping.active, self.nodes.momentum, self.least_mass)
-        return float(node_kernels.force_power(self.mapping.active, self.nodes.momentum))
-
     def step(self, number: int) -> None:
         """Make the step from `number` to `number` + 1; sets `largest_increment` [m].
 
@@ -205,22 +222,25 @@ class TimeIntegration:
         self._locate(number)
         active = mapping.active
         node_kernels.clear(active, tables.momentum)
-        if scheme.integration != "usl":
-            node_kernels.clear(active, tables.velocity)
 
         mapping.scatter_state(tables.momentum)
+        self._take_internal(active)
         if scheme.integration in ("usf", "usavg"):
+            share = 1.0 if scheme.integration == "usf" else 0.5
             node_kernels.drop_slivers(active, tables.momentum, self.least_mass)
             node_kernels.divide(active, tables.momentum, 1, tables.momentum, tables.velocity)
             self._constrain(tables.velocity, before=True)
-            mapping.deform(tables.velocity, dt if scheme.integration == "usf" else 0.5 * dt, False, self.stress)
+            self._book_strain(active, share * dt)
+            mapping.deform(tables.velocity, share * dt, False, self.stress)
             # All again and not the forces alone: domains that convect have changed with the strain.
             node_kernels.clear(active, tables.momentum)
-            node_kernels.clear(active, tables.velocity)
             if scheme.interpolation == "cpgimp":
                 mapping.tabulate(number)
                 active = mapping.active
             mapping.scatter_state(tables.momentum)
+            self._take_internal(active)
+        if scheme.integration != "usl":
+            node_kernels.clear(active, tables.velocity)
         if self.watches_balance:
             self.balance.before_loads(tables.momentum, (active,))
         for load in self.loads:
@@ -234,20 +254,19 @@ class TimeIntegration:
         if share != 1.0:
             scale_forces(active, tables.momentum, share)
         self._accelerate(active, share)
-        self._book(active, impulse * dt)
+        self._book_forces(active, impulse * dt)
         if self.watches_balance:
             self.residual = self.balance.residual(tables.momentum, tables.motion, (active,), dt, share)
         keep = self._choose_transfer(number, active)
         if scheme.integration in ("musl", "usavg"):
             self.largest_increment = mapping.update_remap(tables.motion, keep, dt, tables.velocity)
         elif scheme.integration == "usl":
+            self._book_strain(active, dt)
             self.largest_increment = mapping.update_deform(tables.motion, keep, dt, self.stress)
         else:
             self.largest_increment = mapping.update(tables.motion, keep, dt)
         if not self.largest_increment < mapping.smallest_cell:
             return
-        if self.rider is not None:
-            self.rider.follow(tables.motion, dt)
         if scheme.integration in ("musl", "usavg"):
             node_kernels.divide(active, tables.momentum, 0, tables.velocity, tables.velocity)
             self._constrain(tables.velocity)
@@ -255,16 +274,21 @@ class TimeIntegration:
                 node_kernels.copy_velocity(active, tables.velocity, tables.filtered)
                 self._filter(active, tables.velocity, before=False)
                 node_kernels.blend(active, tables.filtered, STRAIN_SHARE, tables.velocity)
-            mapping.deform(tables.velocity, dt if scheme.integration == "musl" else 0.5 * dt, True, self.stress)
+            share = 1.0 if scheme.integration == "musl" else 0.5
+            self._book_strain(active, share * dt)
+            mapping.deform(tables.velocity, share * dt, True, self.stress)
         elif scheme.integration == "usf":
             mapping.move()
+        if self.rider is not None:
+            # With the strain: the gradient of what they have moved by is then the one that the points carry.
+            self.rider.follow(tables.motion if scheme.integration in ("usf", "usl") else tables.velocity, dt)
         if self.cracks is not None:
             self.cracks.move(mapping.points.rows, mapping.points.row_of)
         if self.damping.point_rate > 0.0:
             c = mapping.columns
             lost = damp_points(mapping.points.rows, mapping.alive, c.velocity, c.mass, self.damping.point_factor(dt))
             self.totals.damping_loss += lost
-            self.totals.unfiltered -= lost
+            self.totals.unfiltered -= lost / self.damping.force_factor
         mapping.travel += self.largest_increment
 
     def _locate(self, number: int) -> None:
@@ -293,11 +317,27 @@ class TimeIntegration:
         if self.cracks is not None:
             self.totals.friction_loss += self.cracks.hold(momentum, motion, dt, motion.shape[1] // 2)
 
-    def _book(self, active: IntArray, duration: float) -> None:
-        """Add what the nodes gained and the work of the loads; leaves velocities halfway in `filtered`."""
+    def _take_internal(self, active: IntArray) -> None:
+        """Keep the internal forces, and book the second half of the strain update that led to them."""
+        tables, totals = self.nodes, self.totals
+        node_kernels.keep_forces(active, tables.momentum, tables.internal)
+        if totals.pending > 0.0:
+            totals.unfiltered += 0.5 * totals.pending * node_kernels.power(active, tables.internal, self.strain_velocity)
+            totals.pending = 0.0
+
+    def _book_strain(self, active: IntArray, duration: float) -> None:
+        """Book the first half of a strain update."""
+        power = node_kernels.power(active, self.nodes.internal, self.strain_velocity)
+        self.totals.unfiltered += 0.5 * duration * power
+        self.totals.pending = duration
+
+    def _book_forces(self, active: IntArray, duration: float) -> None:
+        """Book what forces other than internal ones gave the nodes; leaves velocities halfway in `filtered`."""
         tables = self.nodes
         keep = self.damping.grid_factor(self.time_step)
-        self.totals.unfiltered += node_kernels.halfway(active, tables.momentum, tables.motion, keep, tables.filtered)
+        gain = node_kernels.halfway(active, tables.momentum, tables.motion, keep, tables.filtered)
+        inner = duration * node_kernels.power(active, tables.internal, tables.filtered)
+        self.totals.unfiltered += gain / self.damping.force_factor - inner
         for load in self.loads:
             load.book(tables.momentum, tables.filtered, duration)
 

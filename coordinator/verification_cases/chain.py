@@ -1,8 +1,8 @@
 """A chain of atoms that a bar of the continuum, one cell high, goes over into: scenes of one dimension.
 
 The chain is that of backend `lattice`: masses of argon with springs of 250 N/m between neighbours, 3.45 Angstrom
-apart. As a bar it has the cross-section A = a^2 / sqrt(2), E = k a / A and rho = m / (a A); the bar of the continuum has
-the same E, rho and E A, no contraction, and walls that slide.
+apart. As a bar it has the cross-section A = a^2 / sqrt(2), E = k a / A and rho = m / (a A); the bar of the continuum
+has the same E, rho and E A, no contraction, and walls that slide.
 """
 
 from __future__ import annotations
@@ -62,7 +62,76 @@ class Bar:
         return -0.5 * self.chain * WIDTH
 
     @property
-    def length(value: float) -> str:
+    def extent(self) -> float:
+        """Length of the whole, m."""
+        return (self.left + self.chain + self.right) * WIDTH
+
+    def text(self, steps: int, every: int, handshake: str, ends: str, damping_rate: float = 0.0) -> str:
+        """Return the scene.
+
+        Parameters
+        ----------
+        steps, every : int
+            Coupling steps, and those between frames.
+        handshake : str
+            Further lines of [handshake].
+        ends : str
+            [[continuum.edges]] tables of the left and the right end.
+        damping_rate : float
+            Of the continuum, 1/s.
+        """
+        low, high = self.border - self.left * WIDTH, (0.5 * self.chain + self.right) * WIDTH
+        sides = '["left", "right"]' if self.right else '["left"]'
+        return f"""
+title = "A bar that goes over into a chain of atoms"
+
+[run]
+steps = {steps}
+output_every = {every}
+checkpoint_every = {steps}
+
+[continuum]
+assumption = "plane_stress"
+lower = [{length(low)}, {length(-0.5 * CELL)}]
+upper = [{length(high)}, {length(0.5 * CELL)}]
+cell_size = {length(CELL)}
+damping_rate = "{damping_rate:.9e} 1/s"
+
+[continuum.material]
+young = "{YOUNG:.12e} Pa"
+poisson = 0.0
+density = "{DENSITY:.12e} kg/m^3"
+thickness = {length(SECTION / CELL)}
+
+[[continuum.edges]]
+kind = "symmetry"
+edge = "top"
+
+[[continuum.edges]]
+kind = "symmetry"
+edge = "bottom"
+{ends}
+[atomistic]
+backend = "lattice"
+force_field = "harmonic"
+material = "chain"
+width = {length(self.chain * WIDTH)}
+height = {length(CELL)}
+temperature = "0 K"
+time_step = "{self.time_step:.9e} s"
+equilibration = "0 s"
+reference = "{8 * self.coupling_step:.9e} s"
+
+[handshake]
+width = {length(WIDTH)}
+steps_per_exchange = {self.steps_per_exchange}
+ivc_size = {length(CELL)}
+sides = {sides}
+{handshake}
+"""
+
+
+def length(value: float) -> str:
     """Return a length in m as it stands in a scene."""
     return f'"{value:.12e} m"'
 

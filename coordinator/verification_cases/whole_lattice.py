@@ -108,10 +108,9 @@ def lengthened(sample: FloatArray, spacing: float, half_size: float, tip_x: floa
     count = int(half_size / height) + 1
     along = int(half_size / spacing) + 2
     row, column = np.meshgrid(np.arange(-count, count + 1), np.arange(-along, along + 1), indexing="ij")
-    # The row on the line of the slit, if there is one ahead of it, tells where the columns are.
-    first = sample[np.argmin(np.abs(sample[:, 1] - y - height * np.rint((sample[:, 1] - y) / height)))]
-    offset = np.rint((first[1] - y) / height)
-    x = first[0] + (column + 0.5 * ((row - offset) % 2)) * spacing
+    offset = np.rint((sample[0, 1] - y) / height)
+    start = np.remainder(sample[0, 0], spacing)
+    x = start + (column + 0.5 * ((row - offset) % 2)) * spacing
     place = np.column_stack([x.ravel(), y + height * row.ravel()])
     place = place[(np.abs(place) <= half_size).all(axis=1)]
     slit = (np.abs(place[:, 1] - y) < 0.5 * rows * height) & (place[:, 0] < tip_x)

@@ -172,7 +172,7 @@ def _row(
         grown = max(0.0, strain - 0.6 * PEAK_STRAIN) / PEAK_STRAIN
         values |= {
             "atomistic_potential": 0.08 * energy, "atomistic_kinetic": 1e-17, "spring_energy": 0.01 * energy,
-            "anchor_work": 0.09 * energy, "temperature": 300 + 8 * rng.normal(),
+            "anchor_work": 0.09 * energy, "residual_interface": 0.0101 * energy, "temperature": 300 + 8 * rng.normal(),
             "handshake_temperature": 300 + 12 * rng.normal(), "force_sum_x": 1e-10 * rng.normal(),
             "force_sum_y": 1e-10 * rng.normal(), "force_balance": 1e-15 * rng.random(),
             "ivc_force_rms": float(np.sqrt(np.mean(force[:, :2] ** 2))) + 1e-10, "ivc_error_rms": 1e-10,

@@ -38,49 +38,77 @@ def bar(cells: int, time_step: float, **more: Any) -> MaterialPointSolver:
     return MaterialPointSolver(Grid((-3.0, -3.0), 1.0, (cells + 6, 8)), body, BAR, 1.0, time_step, **more)
 
 
-def swing_of_a_vibration(cells: int, time_step: float) -> tuple[float, float, float]:
-    """Largest error of the balance, its drift, and the filter loss in two periods of mode 2, all over the energy."""
-    number = 2 * np.pi / cells
-    place = fill_rectangle((0.0, 0.0), (float(cells), 2.0), 1.0).position
-    velocity = np.column_stack([1e-4 * np.sin(number * place[:, 0]), np.zeros(len(place))])
-    solver = bar(cells, time_step, edge_conditions=HELD, initial_velocity=velocity)
-    start = balance(solver.energies())
-    errors = []
-    for _ in range(round(2 * cells / time_step / 4)):
-        solver.advance(4)
-        errors.append(balance(solver.energies()) / start - 1.0)
-    middle = len(errors) // 2
-    drift = float(np.mean(errors[middle:]) - np.mean(errors[:middle]))
-    return float(np.abs(errors).max()), drift, solver.energies().filter_loss / start
+SCHEMES = pytest.mark.parametrize(
+    "scheme",
+    [
+        Scheme(),
+        Scheme(transfer="pic"),
+        Scheme(transfer="xpic", order=3),
+        Scheme(transfer="flip"),
+        Scheme(integration="usl", transfer="flip"),
+        Scheme(integration="usl", transfer="fmpm"),
+        Scheme(integration="usf", transfer="flip"),
+        Scheme(integration="usavg", transfer="fmpm"),
+    ],
+    ids=lambda scheme: f"{scheme.integration}-{scheme.transfer}",
+)
 
 
-def test_balance_of_a_free_vibration_closes_to_second_order() -> None:
-    """The docstring of `time_integration`: it swings by 0.13 (k h)^2 of the strain energy and by dt^2, no more."""
-    swings = {dt: swing_of_a_vibration(40, dt) for dt in (0.4, 0.2, 0.1)}
-    number = 2 * np.pi / 40
-    limit = 0.7 * 3 / 16 * number**2
-    assert swings[0.1][0] == pytest.approx(limit, rel=0.05)
-    in_time = [swings[dt][0] for dt in (0.4, 0.2, 0.1)]
-    assert (in_time[0] - in_time[1]) / (in_time[1] - in_time[2]) == pytest.approx(4.0, rel=0.3)
-    assert swing_of_a_vibration(80, 0.1)[0] == pytest.approx(in_time[2] / 4, rel=0.1)
-    for dt, (swing, drift, loss) in swings.items():
-        assert abs(drift) < 0.02 * swing, dt
-        assert loss > swing  # what is closed is more than the error
+def worst_balance(scheme: Scheme, size: float) -> tuple[float, Energies]:
+    """Largest error of the balance over the work, when a pulse of strain `size` goes to and fro in a bar.
 
-
-@pytest.mark.parametrize("time_step", [0.4, 0.2])
-def test_balance_of_a_forced_bar_closes_to_one_percent(time_step: float) -> None:
-    """A pulse goes to and fro for nearly four times the bar's length; the rest is of the order of dt."""
-    times = np.linspace(0.0, 40.0, 401)
-    pulse = Table(tuple(times), tuple(np.sin(np.pi * times / 40.0) ** 2))
-    solver = bar(40, time_step, edge_conditions=HELD[:1], loads=[Traction("right", (1e-4, 0.0), pulse)])
+    The way is nearly four lengths of the bar.
+    """
+    times, time_step = np.linspace(0.0, 40.0, 401), min(0.3, scheme.courant_limit)
+    pulse = Traction("right", (size, 0.0), Table(tuple(times), tuple(np.sin(np.pi * times / 40.0) ** 2)))
+    solver = bar(40, time_step, edge_conditions=HELD[:1], loads=[pulse], scheme=scheme)
     errors = []
     for _ in range(round(150 / time_step / 5)):
         solver.advance(5)
         errors.append(balance(solver.energies()))
-    work = solver.energies().load_work
-    assert work > 0 and np.abs(errors).max() < 0.01 * work * time_step / 0.4
-    assert solver.energies().filter_loss > 0.005 * work
+    energies = solver.energies()
+    assert energies.load_work > 0
+    return float(np.abs(errors).max()) / energies.load_work, energies
+
+
+@SCHEMES
+def test_balance_of_a_forced_bar_closes_to_the_order_of_the_strain(scheme: Scheme) -> None:
+    """The law is linear in the small strain only, so what the account leaves out falls with the strain."""
+    large, _ = worst_balance(scheme, 1e-3)
+    small, energies = worst_balance(scheme, 1e-4)
+    assert small < 1e-4
+    if scheme.integration != "usl":  # there light nodes beyond the faces, which others leave out, keep their share
+        assert large / small == pytest.approx(10.0, rel=0.2)
+    assert abs(energies.filter_loss) > 10 * small * energies.load_work  # what is closed is more than the error
+
+
+def test_balance_of_a_free_vibration_closes_and_does_not_swing() -> None:
+    number = 2 * np.pi / 40
+    place = fill_rectangle((0.0, 0.0), (40.0, 2.0), 1.0).position
+    velocity = np.column_stack([1e-4 * np.sin(number * place[:, 0]), np.zeros(len(place))])
+    solver = bar(40, 0.4, edge_conditions=HELD, initial_velocity=velocity)
+    start = solver.energies()
+    errors, kinetic, losses = [], [], []
+    for _ in range(60):
+        solver.advance(5)
+        e = solver.energies()
+        errors.append(balance(e) / balance(start) - 1.0)
+        kinetic.append(e.kinetic / start.kinetic)
+        losses.append(e.filter_loss / start.kinetic)
+    assert min(kinetic) < 0.02 and max(kinetic) > 0.95
+    assert np.abs(errors).max() < 2e-5
+    # The loss is one of short steps, not what goes to and fro between kinetic and strain energy.
+    assert 0.003 < losses[-1] < 0.02
+    assert np.diff(losses).min() > -0.1 * losses[-1]
+
+
+def test_balance_of_a_body_under_scaled_forces_counts_its_inertia() -> None:
+    """With force scaling c kinetic energy counts over 1 - c, as if the masses had been divided by it."""
+    pull = Traction("right", (1e-4, 0.0))
+    solver = bar(40, 0.3, edge_conditions=HELD[:1], loads=[pull], damping=Damping(force_scaling=0.6))
+    solver.advance(200)
+    e = solver.energies()
+    assert balance(e) + e.kinetic * (1 / 0.4 - 1.0) == pytest.approx(0.0, abs=1e-4 * e.load_work)
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
@@ -164,12 +192,12 @@ def test_momentum_is_the_impulse_of_the_loads_and_edges() -> None:
 
 
 def test_anchor_forces_do_the_work_that_the_body_gains() -> None:
-    """One step under forces on anchors alone: kinetic energy and filter loss are their work, and so is the impulse."""
+    """One step under forces on anchors alone."""
     solver = bar(10, 0.4)
     solver.register_anchors([[2.3, 0.7], [6.1, 1.4]], [0, 0])
     solver.register_interface_cells([[0.0, 0.0]], [[10.0, 2.0]])
-    force = np.array([[2e-3, 1e-3], [-1e-3, 5e-4]])
+    force = 1e-4 * np.array([[2.0, 1.0], [-1.0, 0.5]])
     solver.advance(1, anchor_force=force)
     e = solver.energies()
-    assert e.interface_work == pytest.approx(e.kinetic + e.filter_loss, rel=1e-12)
+    assert e.interface_work == pytest.approx(e.kinetic + e.strain + e.filter_loss, rel=1e-5)
     np.testing.assert_allclose(solver.momentum, 0.4 * force.sum(axis=0), rtol=1e-12)

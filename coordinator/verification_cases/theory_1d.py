@@ -1,0 +1,211 @@
+"""Case `coupling/theory-1d`: whole scenes of a chain against the theory of two overlapping bars.
+
+Statics: a bar with a chain in its middle is pulled at both ends; from the strain far away follows by how much each
+overlap is too long. Waves: a bell of displacement runs from the bar into the chain; what comes back over what went
+in, frequency by frequency, is the reflected amplitude at all wavelengths from one run.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from coordinator.figures import BLUE, GREEN, INK, ORANGE, RED, STYLE
+from coordinator.handshake import exchange_number
+from coordinator.overlap_theory import exact_stiffness, scatter, static_error
+from coordinator.results import Results
+from coordinator.verification_cases import chain
+from coordinator.verification_cases.runs import run_text
+from coordinator.weight_profile import WeightProfile
+from protocol.arrays import FloatArray
+from protocol.verification import Case, Check
+
+#: Allowed difference to theory: of the elongation in widths of the overlap times the strain, of the reflected amplitude
+#: in amplitudes of the wave.
+TOLERANCE = 0.02
+WAVELENGTHS = (5.0, 10.0, 20.0, 50.0)
+STIFF = 100.0
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """Profile and springs of one run."""
+
+    label: str
+    profile: WeightProfile
+    stiffness: float
+    colour: str
+
+    @property
+    def handshake(self) -> str:
+        """Lines of [handshake]; of a power the exponent is the largest that is stable, here 8."""
+        lines = [
+            f'profile = "{self.profile.kind}"',
+            f"weight = {self.profile.weight!r}",
+            f'stiffness = "{chain.springs(self.stiffness):.12e} N/m"',
+        ]
+        return "\n".join(lines)
+
+
+def _exact(label: str, profile: WeightProfile, colour: str) -> Scheme:
+    return Scheme(label, profile, exact_stiffness(profile), colour)
+
+
+FULL, HALF = WeightProfile("constant", 1.0), WeightProfile("constant", 0.5)
+LINEAR, POWER = WeightProfile("linear", 0.05), WeightProfile("power", 0.05, 8.0)
+WAVES = (
+    Scheme(f"weight 1, stiff (κL²/E = {STIFF:g})", FULL, STIFF, INK),
+    _exact("weight 1", FULL, RED),
+    _exact("weight 0.5", HALF, ORANGE),
+    _exact("linear from 0.05", LINEAR, GREEN),
+    _exact("power 8 from 0.05", POWER, BLUE),
+)
+STATICS = (
+    Scheme("weight 1", FULL, 1.5, RED),
+    _exact("weight 1", FULL, RED),
+    Scheme("weight 1", FULL, STIFF, RED),
+    Scheme("weight 0.5", HALF, 3.0, ORANGE),
+    _exact("weight 0.5", HALF, ORANGE),
+    Scheme("weight 0.5", HALF, 40.0, ORANGE),
+    Scheme("power 8 from 0.05", POWER, 20.0, BLUE),
+    _exact("power 8 from 0.05", POWER, BLUE),
+)
+
+
+def elongation(scheme: Scheme, folder: Path) -> float:
+    """Return the static error of one overlap in a whole scene, in widths times the far strain."""
+    bar = chain.Bar(left=2.5, right=2.5, chain=4.0)
+    way = 0.5e-3 * bar.extent
+    duration = 24.0 * chain.WIDTH / chain.SPEED
+    steps = round(duration / bar.coupling_step)
+    ramp = np.array([0.0, 0.25 * duration])
+    ends = chain.end("left", ramp, np.array([0.0, -way])) + chain.end("right", ramp, np.array([0.0, way]))
+    damper = f'damping_time = "{0.5 * chain.WIDTH / chain.SPEED:.9e} s"\n'
+    text = bar.text(steps, steps, damper + scheme.handshake, ends, damping_rate=0.6 * chain.SPEED / chain.WIDTH)
+    with run_text(text, folder) as results:
+        assert results.points is not None  # of every run
+        frame = results.points.frame(len(results.points) - 1)
+        start = (frame.position - frame.displacement)[:, 0]
+        strain = []
+        for side in (-1.0, 1.0):
+            far = side * start > (0.5 * bar.chain + 0.5) * chain.WIDTH
+            strain.append(np.polyfit(start[far], frame.displacement[far, 0], 1)[0])
+    return float((2.0 * way / np.mean(strain) - bar.extent) / (2.0 * chain.RING))
+
+
+def reflection(scheme: Scheme, folder: Path, wavelengths: FloatArray) -> FloatArray:
+    """Return reflected amplitudes in a whole scene at wavelengths in widths of the overlap, shape (wavelengths,)."""
+    bar = chain.Bar(left=10.0, right=0.0, chain=7.0)
+    bell, duration = chain.pulse("left", 1.5, 1e-13)
+    # Its middle passes the place of the measurement twice, at 5 and at 15 widths. Five more and nothing is left of it,
+    # nor has anything come back from the ends.
+    steps = round((0.5 * duration + 20.0 * chain.WIDTH / chain.SPEED) / bar.coupling_step)
+    with run_text(bar.text(steps, 4, scheme.handshake, bell), folder) as results:
+        time, onwards, back = waves_at(results, bar.border - 5.0 * chain.WIDTH)
+    kernel = np.exp(-2j * np.pi * chain.SPEED / (wavelengths[:, None] * chain.RING) * time)
+    return np.asarray(np.abs(kernel @ back) / np.abs(kernel @ onwards))
+
+
+def waves_at(results: Results, place: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return time, s, and the parts of the velocity that run right and left, m/s, in the cell around a place, m."""
+    points = results.points
+    assert points is not None  # of every run
+    first = points.frame(0)
+    here = np.abs((first.position - first.displacement)[:, 0] - place) < 0.5 * chain.CELL
+    velocity, stress = np.zeros(len(points)), np.zeros(len(points))
+    for index in range(len(points)):
+        frame = points.frame(index)
+        velocity[index], stress[index] = frame.velocity[here, 0].mean(), frame.stress[here, 0].mean()
+    of_stress = stress / (chain.DENSITY * chain.SPEED)
+    return points.time, 0.5 * (velocity - of_stress), 0.5 * (velocity + of_stress)
+
+
+def theory_1d(folder: Path) -> list[Check]:
+    """Static error and reflected amplitudes of whole scenes against theory."""
+    source = "two elastic bars that overlap, joined by springs (coordinator.overlap_theory)"
+    checks, lengths = [], []
+    for number, scheme in enumerate(STATICS):
+        lengths.append(elongation(scheme, folder / f"static{number}"))
+        quantity = f"static error, {scheme.label}, springs {scheme.stiffness:.3g} E/L^2"
+        away = lengths[-1] - static_error(scheme.profile, scheme.stiffness)
+        checks.append(Check(f"{quantity}: {lengths[-1]:+.4f} less theory", away, 0.0, TOLERANCE, source, "L strain"))
+    along = np.geomspace(3.0, 60.0, 40)
+    curves = []
+    for number, scheme in enumerate(WAVES):
+        found = reflection(scheme, folder / f"wave{number}", np.concatenate([WAVELENGTHS, along]))
+        curves.append(found[len(WAVELENGTHS) :])
+        for wavelength, measured in zip(WAVELENGTHS, found, strict=False):
+            wanted = scatter(scheme.profile, scheme.stiffness, wavelength).reflected
+            quantity = f"reflection at {wavelength:g} L, {scheme.label}: {measured:.4f} less theory {wanted:.4f}"
+            checks.append(Check(quantity, float(measured - wanted), 0.0, TOLERANCE, source, "amplitude"))
+    draw(folder / "theory_1d.png", np.array(lengths), along, curves)
+    (folder / "schemes.md").write_text(scheme_table(), encoding="utf-8")
+    return checks
+
+
+def draw(path: Path, lengths: FloatArray, along: FloatArray, curves: list[FloatArray]) -> None:
+    """Draw theory as lines and whole scenes as marks, statics beside waves."""
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(9.6, 4.0), layout="constrained")
+        left, right = figure.subplots(1, 2)
+        stiffness = np.geomspace(1.0, 1000.0, 60)
+        drawn: set[str] = set()
+        for scheme, measured in zip(STATICS, lengths, strict=True):
+            if scheme.label not in drawn:
+                theory = [static_error(scheme.profile, kappa) for kappa in stiffness]
+                left.plot(stiffness, theory, color=scheme.colour, label=scheme.label)
+            drawn.add(scheme.label)
+            left.plot(scheme.stiffness, measured, "o", color=scheme.colour, markersize=5)
+        left.axhline(0.0, color=INK, linewidth=0.7)
+        left.set(xscale="log", xlabel="κ L² / E at the outer border", ylabel="static error / (L ε)", ylim=(-0.6, 0.9))
+        left.set_title("Length of the overlap in statics")
+        left.legend()
+        for scheme, curve in zip(WAVES, curves, strict=True):
+            theory = [scatter(scheme.profile, scheme.stiffness, wavelength).reflected for wavelength in along]
+            right.plot(along, theory, color=scheme.colour, label=scheme.label)
+            right.plot(along[::3], curve[::3], "o", color=scheme.colour, markersize=4)
+        right.set(xscale="log", yscale="log", xlabel="wavelength / L", ylabel="reflected amplitude", ylim=(5e-3, 1.0))
+        right.set_title("Reflection (lines theory, marks whole scenes)")
+        right.legend()
+        figure.savefig(path)
+
+
+# --- which scheme ----------------------------------------------------------------------------------------------------
+
+#: The example of the table: graphene, a ring of 15 Angstrom, atoms stepped by 0.5 fs.
+_SPEED, _WIDTH, _STEP, _DAMPING_TIME = 20.9e3, 15e-10, 0.5e-15, 0.2e-12
+
+
+def scheme_table() -> str:
+    """Return the table of schemes by theory, as Markdown: what it reflects, and its exchange numbers."""
+    rows = [("weight 1, stiff springs (preset seed)", FULL, 1000.0, False), ("weight 1", FULL, None, False)]
+    rows += [(f"constant {w:g}", WeightProfile("constant", w), None, False) for w in (0.5, 0.3, 0.2, 0.15, 0.1)]
+    rows += [("linear", LINEAR, None, False), ("cubic", WeightProfile("cubic", 0.05), None, False)]
+    rows += [(f"power {p:g}", WeightProfile("power", 0.05, p), None, False) for p in (2.0, 4.0, 6.0, 8.0)]
+    rows += [("constant 0.5, damper", HALF, None, True), ("power 8, damper", POWER, None, True)]
+    head = ["scheme", "mean weight", "κL²/E", "static error"]
+    head += [f"R at {wavelength:g} L" for wavelength in WAVELENGTHS] + [f"N at M = {m}" for m in (10, 20, 30)]
+    lines = ["| " + " | ".join(head) + " |", "| --- |" + " --- |" * (len(head) - 1)]
+    damping = _WIDTH / (_SPEED * _DAMPING_TIME)
+    for label, profile, given, damped in rows:
+        kappa = exact_stiffness(profile) if given is None else given
+        cells = [label, f"{profile.mean:.3f}", f"{kappa:.4g}", f"{static_error(profile, kappa) + 0.0:.3f}"]
+        for wavelength in WAVELENGTHS:
+            cells.append(f"{100 * scatter(profile, kappa, wavelength, damping if damped else 0.0).reflected:.1f} %")
+        for m in (10, 20, 30):
+            # In units of L and c: modulus and density are one.
+            step = m * _STEP * _SPEED / _WIDTH
+            number = exchange_number(kappa, profile, 1.0, step, 1.0 / damping if damped else None)
+            cells.append(f"{number:.2f}" if number < 0.9 else f"{number:.2f} (unstable)")
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+CASES = [
+    Case("coupling", "theory-1d", "a chain in a bar against the theory of two overlapping bars", theory_1d, slow=True)
+]
