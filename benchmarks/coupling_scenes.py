@@ -10,8 +10,8 @@ _EDGE: Final = """
 kind = "k_field"
 edge = "{side}"
 field = {{ tip = ["0 angstrom", "{y} angstrom"], k_1 = "{intensity} MPa m^0.5" }}
-times = ["0 ps", "{time} ps"]
-factors = [{start}, {end}]
+times = ["0 ps", "{rest} ps", "{time} ps"]
+factors = [{start}, {start}, {end}]
 """
 
 _SCENE: Final = """
@@ -74,8 +74,9 @@ class Problem:
         Half width of the body and edge of a cell, angstrom.
     young, poisson, density, thickness : float
         Of the continuum, GPa, 1, kg/m3, angstrom: those of the force field at 0 K.
-    intensity, start, end, time : float
-        Field at a factor of 1, MPa m^0.5; the factor at the start and at the end; ps between.
+    intensity, start, end, rest, time : float
+        Field at a factor of 1, MPa m^0.5; the factor at the start and at the end; when it begins to rise and when the
+        run ends, ps.
     temperature, time_step, damper, damping : float
         K, fs, ps, 1/ps.
     size, width, m : float, float, int
@@ -96,6 +97,7 @@ class Problem:
     intensity: float
     start: float
     end: float
+    rest: float
     time: float
     temperature: float
     time_step: float
@@ -122,7 +124,15 @@ class Problem:
         own += [] if weight is None else [f"weight = {weight}"]
         own += [] if stiffness is None else [f'stiffness = "{stiffness} N/m"']
         edges = "".join(
-            _EDGE.format(side=side, y=self.y, intensity=self.intensity, time=self.time, start=self.start, end=self.end)
+            _EDGE.format(
+                side=side,
+                y=self.y,
+                intensity=self.intensity,
+                rest=self.rest,
+                time=self.time,
+                start=self.start,
+                end=self.end,
+            )
             for side in ("left", "right", "bottom", "top")
         )
         return _SCENE.format(
@@ -138,11 +148,11 @@ class Problem:
 #: A lattice of springs that never break; a third of its step is done at once, so the wave of the load is felt.
 LATTICE: Final = Problem(
     name="harmonic lattice", backend="lattice", force_field="harmonic", material="hexagonal", half=120, cell=8, y=-4,
-    young=1024.8, poisson=0.3333, density=2284, thickness=2.8169, intensity=4.0, start=0.3, end=1.0, time=1.0,
+    young=1024.8, poisson=0.3333, density=2284, thickness=2.8169, intensity=4.0, start=0.3, end=1.0, rest=0.2, time=1.2,
     temperature=0, time_step=1.0, damper=0.2, damping=2.0, size=80, width=24, m=10,
 )  # fmt: skip
 GRAPHENE: Final = Problem(
     name="graphene", backend="md_service", force_field="airebo-sharp", material="graphene", half=82.5, cell=5, y=0,
-    young=827, poisson=0.357, density=2345, thickness=3.35, intensity=3.0, start=0.85, end=1.25, time=2.0,
-    temperature=10, time_step=0.5, damper=0.05, damping=0.0, size=73, width=15, m=20,
+    young=827, poisson=0.357, density=2345, thickness=3.35, intensity=3.0, start=0.92, end=1.10, rest=0.3, time=1.9,
+    temperature=10, time_step=0.5, damper=0.05, damping=2.0, size=73, width=15, m=20,
 )  # fmt: skip

@@ -99,6 +99,8 @@ class Comparison:
         Load of the coupled run at the first broken bond over that of the full atomistic one, less 1.
     tip_difference : float or None
         Largest difference of the two tips at the same load, in lattice constants.
+    tip_difference_since_break : float or None
+        The same with time counted from the first broken bond of each run.
     tip_load_difference : float or None
         Largest relative difference of the two loads at the same tip.
     time_share, processor_share : float
@@ -115,6 +117,7 @@ class Comparison:
     all_atom: Side
     load_error: float | None
     tip_difference: float | None
+    tip_difference_since_break: float | None
     tip_load_difference: float | None
     time_share: float
     processor_share: float
@@ -152,6 +155,12 @@ class Track:
         """Return the row of the first broken bond; None where none broke."""
         rows = np.flatnonzero(self.broken > 0)
         return int(rows[0]) if len(rows) else None
+
+    def since_break(self) -> Track:
+        """Return the run from the row before the first broken bond on; all of it where none broke."""
+        start = max((self.first_break() or 0) - 1, 0)
+        series = (self.time, self.load, self.j, self.tip, self.temperature, self.broken)
+        return Track(self.name, *(values[start:] for values in series))
 
     def first_beyond(self, growth: float) -> int | None:
         """Return the row at which the tip had first moved by `growth`, m; None where it never did."""
@@ -212,8 +221,7 @@ def compare_scene(
     coupled_cost = watch.read()
     if code != 0:
         raise RuntimeError(f"the coupled run ended with status {code}; there is nothing to compare with")
-    header = read_checkpoint(folder / COUPLED)[0]
-    properties = Properties.model_validate(header["properties"]) if header["properties"] else None
+    properties = measured_properties(folder / COUPLED)
     material = isotropic_of(scene, properties)
     with Results(folder / COUPLED / "results.h5") as results:
         coupled_atoms = len(results.atoms.atom_id) if results.atoms is not None else 0
@@ -269,6 +277,7 @@ def compare_runs(
         all_atom=right,
         load_error=None if breaks[0] is None or not breaks[1] else breaks[0] / breaks[1] - 1.0,
         tip_difference=tip_difference(coupled, whole, growth, lattice_constant),
+        tip_difference_since_break=tip_difference(coupled.since_break(), whole.since_break(), growth, lattice_constant),
         tip_load_difference=tip_load_difference(coupled, whole, growth, lattice_constant),
         time_share=left.wall_seconds / right.wall_seconds,
         processor_share=left.processor_seconds / right.processor_seconds,
@@ -288,10 +297,10 @@ def track(scene: Scene, material: IsotropicMaterial, folder: Path) -> Track:
 
 
 def tip_difference(one: Track, other: Track, growth: float, lattice_constant: float) -> float | None:
-    """Return the largest difference of two tips at the same load, in lattice constants.
+    """Return the largest difference of two tips in the same row, in lattice constants; None without a crack.
 
-    It is looked for up to the load at which both have grown by `growth`, m, where a tip counts as no further than
-    that; both runs have their rows at the same times, and a load that rises.
+    Both runs have their rows at the same times, so the same row is the same load. It is looked for up to the row at
+    which both have grown by `growth`, m: a tip counts as no further than that.
     """
     if np.isnan(one.tip).all() or np.isnan(other.tip).all():
         return None
@@ -350,6 +359,8 @@ def rows_of(found: Comparison) -> list[tuple[str, str, str, str]]:
     rows.append(("growth of the crack (angstrom)", number(a.growth, 1e10), number(b.growth, 1e10), ""))
     rows += [
         ("largest difference of tips at one load (lattice constants)", "", "", number(found.tip_difference, digits=3)),
+        ("the same, time counted from the first broken bond", "", "",
+         number(found.tip_difference_since_break, digits=3)),
         ("largest difference of loads at one tip", "", "",
          "" if found.tip_load_difference is None else f"{100 * found.tip_load_difference:.2g} %"),
         ("atoms", str(a.atoms), str(b.atoms), f"{a.atoms / b.atoms:.2g} of them"),
@@ -388,6 +399,12 @@ def _duration(seconds: float) -> str:
     if math.isnan(seconds):
         return "an unknown time"
     return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
+
+
+def measured_properties(folder: Path) -> Properties | None:
+    """Return the constants that a run in a folder measured for its potential; None where its scene gives them."""
+    header = read_checkpoint(folder)[0]
+    return Properties.model_validate(header["properties"]) if header["properties"] else None
 
 
 def _exchange_steps(scene: Scene, results: Results) -> int:

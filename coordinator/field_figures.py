@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Polygon, Rectangle
 
 from coordinator.display_units import ANGSTROM, units_of
 from coordinator.figures import (
@@ -80,9 +80,10 @@ def scene_pictures(results: Results, scene: Scene) -> list[Picture]:
     overlap = results.interface.get("outer")
     if overlap is not None:
         corner, ring = overlap[1] / ANGSTROM, (overlap[1] - results.interface["inner"][1]) / ANGSTROM
-        reach = 1.9 * ring.max()
-        x, y = ((corner[k] - reach, corner[k] + 0.45 * reach) for k in (0, 1))
-        found.append(_scene_picture(results, scene, points, atoms, (x, y), "A corner of the handshake", True))
+        if ring.min() > 0.0:  # a ring that has a corner there
+            reach = 1.9 * ring.max()
+            x, y = ((corner[k] - reach, corner[k] + 0.45 * reach) for k in (0, 1))
+            found.append(_scene_picture(results, scene, points, atoms, (x, y), "A corner of the handshake", True))
     return found
 
 
@@ -189,9 +190,9 @@ def stress_pictures(results: Results, scene: Scene, most: int = 3) -> list[Pictu
     found = []
     whole = _body_window(scene)
     around = whole
-    outer = results.interface.get("outer")
-    if outer is not None:
-        centre, half = 0.5 * outer.sum(axis=0) / ANGSTROM, 0.8 * np.ptp(outer, axis=0) / ANGSTROM
+    if results.rings:
+        outer = np.concatenate([borders["outer"] for borders in results.rings.values()]) / ANGSTROM
+        centre, half = 0.5 * (outer.min(axis=0) + outer.max(axis=0)), 0.8 * np.ptp(outer, axis=0)
         x, y = ((float(centre[k] - half[k]), float(centre[k] + half[k])) for k in (0, 1))
         around = (x, y)
     for frame in frames:
@@ -247,7 +248,9 @@ def crack_pictures(results: Results, scene: Scene, most: int = 4) -> list[Pictur
     found = []
     tips = results.series.get("crack_tip")
     last = scene.crack.tip_x if tips is None or not np.isfinite(tips).any() else np.nanmax(tips)
-    left, right = scene.crack.tip_x / ANGSTROM - 18.0, max(last, scene.crack.tip_x) / ANGSTROM + 18.0
+    # The tip may begin in the continuum, far from the atoms.
+    start = max(scene.crack.tip_x, float(atoms.reference[:, 0].min()))
+    left, right = start / ANGSTROM - 18.0, max(last, start) / ANGSTROM + 18.0
     y = scene.crack.y / ANGSTROM
     half = 0.36 * (right - left)
     window = ((float(left), float(right)), (float(y - half), float(y + half)))
@@ -298,10 +301,9 @@ def strain_pictures(results: Results, scene: Scene) -> list[Picture]:
             part.centre[:, 0] / ANGSTROM, part.centre[:, 1] / ANGSTROM, c=100 * part.yy, marker="s", linewidths=0,
             s=(1.04 * size / ANGSTROM * scale) ** 2, cmap="RdBu_r", vmin=middle - spread, vmax=middle + spread,
         )  # fmt: skip
-    for name in ("inner", "outer"):
-        if name in results.interface:
-            low, high = results.interface[name]
-            _rectangle(axes, low, high, INK, 0.8, "--")
+    for borders in results.rings.values():
+        for corners in borders.values():
+            axes.add_patch(Polygon(corners / ANGSTROM, fill=False, edgecolor=INK, linewidth=0.8, linestyle="--"))
     assert side is not None
     figure.colorbar(drawn, cax=side, extend="both").set_label("ε$_{yy}$ (%)")
     title = "Strain along y" + (f", applied {middle:.3g} %" if applied is not None else "")

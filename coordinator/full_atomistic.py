@@ -260,7 +260,7 @@ class FullAtomisticRun:
             ),
             a.AtomisticRegistered,
         )
-        start = _Start(built, motion, rest, len(gripped))
+        start = _Start(built, place, motion, rest, len(gripped))
         preload = scene.continuum.preload is not None or scene.continuum.initial_field is not None
         if not preload:
             self._tell("equilibrate")
@@ -342,7 +342,7 @@ class FullAtomisticRun:
     def _loop(self, client: Client, writer: ResultsWriter, start: _Start) -> None:
         scene, run = self.scene, self.scene.run
         built = start.built
-        writer.atoms(built.atom_id, numbers_of(built.atom_mass), built.atom_mass, built.position)
+        writer.atoms(built.atom_id, numbers_of(built.atom_mass), built.atom_mass, start.place)
         first_energy = first_tip = math.nan
         position, ended_at, computed_before = start.places(0.0), time.perf_counter(), client.timing.computing
         for step in range(1, run.steps + 1):
@@ -385,7 +385,7 @@ class FullAtomisticRun:
             ended = limit is not None and grown >= limit * (1.0 - 1e-9)
             if step % run.output_every == 0 or ended:
                 fields = client.call("fields", FieldsRequest(names=["position"]), FieldsReply).fields
-                writer.atoms_frame(step, now, fields["position"])
+                writer.atoms_frame(step, now, fields["position"] + np.array([*self._body.middle, 0.0]))
                 writer.flush()
                 self._tell(f"full atomistic run: step {step} of {run.steps}, tip +{grown * 1e10:.0f} A")
             if ended:
@@ -406,9 +406,13 @@ class FullAtomisticRun:
 
 @dataclass(frozen=True)
 class _Start:
-    """Atoms and anchors as they are before the first step; the first `gripped` anchors follow the edges."""
+    """Atoms and anchors as they are before the first step; the first `gripped` anchors follow the edges.
+
+    `place` is that of the atoms in the scene, `rest` that of the anchors in the sample, both undeformed, m.
+    """
 
     built: a.AtomisticConfigured
+    place: FloatArray
     motion: EdgeMotion
     rest: FloatArray
     gripped: int

@@ -19,7 +19,7 @@ The exchange number is the root of either sum. Without dampers the serial exchan
 the atoms with the anchors frozen, which also kicks the continuum, then motion of the continuum. Below the limit it
 conserves a modified energy, so nothing grows, provided that the mean force is that which moved the atoms: velocity
 Verlet counts the ends of the window by half. (Counted in full they act as dampers of the wrong sign.) As with all
-impulses, a resonance is possible where the coupling step is as long as a period of the atoms' fastest vibration;
+impulses there may be a resonance with the atoms' fastest vibration Omega_a, where Dt Omega_a + 2 asin(N) > 2 pi;
 dampers remove it.
 
 Where the continuum makes n steps in one exchange, the force acts as an impulse in the first: v + Dt F / m, then u

@@ -31,6 +31,10 @@ from protocol.messages import FieldsReply, FieldsRequest
 HEAVIER_THAN_HYDROGEN = 2 * 1.66e-27
 
 
+#: Distance above which two places are layers apart, m.
+_LAYER = 5e-12
+
+
 class Region:
     """Atoms behind one service.
 
@@ -224,6 +228,11 @@ class Region:
         inner, _ = snapped_overlap(
             lower, self.scene.finest_cell, float(high[0] - low[0]), float(high[1] - low[1]), handshake.width
         )
+        if not handshake.constant_weight:
+            # The material of the outermost atoms ends half a layer beyond them. At constant weight the ring ends on
+            # the atoms: light continuum beyond the last of them would be a soft gap.
+            beyond = np.array([_half_layer(self.own_reference[:, axis]) for axis in (0, 1)])
+            low, high = low - beyond, high + beyond
         return rectangle_ring(inner, low, high, list(handshake.sides))
 
     def _requested_ring(self) -> Ring:
@@ -232,3 +241,9 @@ class Region:
         assert table is not None and handshake is not None and handshake.shape != "rectangle"
         half = 0.5 * np.array([table.width, table.height])
         return shaped_ring(handshake.shape, -half, half, handshake.width, handshake.corners)
+
+
+def _half_layer(places: FloatArray) -> float:
+    """Return half the mean distance of a crystal's layers along an axis, m; next to nothing for a glass."""
+    layers = np.unique(np.round(places / _LAYER))
+    return 0.5 * float(np.ptp(places)) / max(len(layers) - 1, 1)

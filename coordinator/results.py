@@ -258,6 +258,8 @@ class Results:
         By name, `time` among them.
     units : dict of str to str
         Unit of each series.
+    rings : dict
+        Corners of the borders `inner` and `outer` of each region's overlap by its name, shape (corners, 2), m.
     interface : dict of str to array
         As given to `ResultsWriter.interface`, and `step`, `force`, `error`; empty without interface.
     atoms : AtomsReader or None
@@ -308,6 +310,8 @@ class Results:
             region: {name: array[:] for name, array in borders.items()}
             for region, borders in interface.get("rings", {}).items()
         }
+        if not self.rings and "inner" in self.interface:  # written by an earlier version: boxes
+            self.rings = {"atomistic": {name: _box_corners(self.interface[name]) for name in ("inner", "outer")}}
         self.atoms = h5md.AtomsReader(file) if h5md.GROUP in file else None
         self.grid = h5md.GridReader(file) if h5md.GRID in file else None
         self.points = vtkhdf.PointsReader(file) if vtkhdf.GROUP in file else None
@@ -370,6 +374,11 @@ def _append_rows(file: h5py.File, rows: list[tuple[int, dict[str, float]]]) -> N
             array[start:] = [step for step, _ in rows]
         else:
             array[start:] = [values.get(name, math.nan) for _, values in rows]
+
+
+def _box_corners(box: FloatArray) -> FloatArray:
+    (left, bottom), (right, top) = box
+    return np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
 
 
 def _create_interface(

@@ -83,8 +83,7 @@ def rectangle_ring(inner: Corners, low: FloatArray, high: FloatArray, sides: lis
     inner : Corners
         Where the ring ends inside, m.
     low, high : float64 array, shape (2,)
-        Corners of the sample, m: the ring ends where the atoms do, since a continuum of small weight beyond the
-        last atoms would be a soft gap.
+        Corners of the sample's material, m: where the ring ends outside.
     sides : list of str
         Where there is a ring; on the other sides both borders lie far beyond the sample.
     """

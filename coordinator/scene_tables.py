@@ -104,6 +104,12 @@ class Handshake(Table):
     )
     most_windows: Count = Field(default=10, description="repetitions at most")
 
+    @property
+    def constant_weight(self) -> bool:
+        """Whether the weight is the same in the whole ring; a profile that is left out is one where it falls."""
+        falls = self.weight is None and self.stiffness is None
+        return self.profile == "constant" or (self.profile is None and not falls)
+
     @model_validator(mode="before")
     @classmethod
     def _apply_preset(cls, given: Any) -> Any:

@@ -83,6 +83,10 @@ class Curves:
         """Whether the series is there and not zero throughout."""
         return self.has(name) and bool(np.nanmax(np.abs(self._series[name])) > 0)
 
+    def parts(self, name: str) -> list[str]:
+        """Return the names of a series of each region of atoms."""
+        return sorted(one for one in self._series if one.split("@")[0] == name)
+
     def tips(self) -> list[str]:
         """Return the names of the continuum's crack tips, as their series begin."""
         return sorted({name[: -len("length")] for name in self._series if re.fullmatch(r"tip_\d+_[01]_length", name)})
@@ -153,15 +157,19 @@ def _load(curves: Curves, scene: Scene) -> Picture | None:
 
 
 def _crack(curves: Curves, scene: Scene) -> Picture | None:
-    if scene.crack is None or not curves.has("j_boundary", "crack_tip", "broken_bonds"):
+    tips = curves.parts("crack_tip")
+    if scene.crack is None or not curves.has("broken_bonds") or not (tips or curves.has("j_boundary")):
         return None
+    load = "j_boundary" if curves.has("j_boundary") else "applied_strain"
     figure, axes = panels(3, 4.6)
-    curves.draw(axes[0], "j_boundary", "J", BLUE)
-    axes[0].set_ylabel("J (J/m²)")
-    if curves.has("crack_tip"):
-        tip = curves.get("crack_tip", ANGSTROM)
+    curves.draw(axes[0], load, "load", BLUE, 1.0 if load == "j_boundary" else 0.01)
+    axes[0].set_ylabel("J (J/m²)" if load == "j_boundary" else "applied strain (%)")
+    for name, colour in zip(tips, (RED, ORANGE, GREEN, PURPLE), strict=False):
+        tip = curves.get(name, ANGSTROM)
         first = tip[np.isfinite(tip)][0]
-        curves.line(axes[1], tip - first, "tip", RED)
+        curves.line(axes[1], np.abs(tip - first), name.partition("@")[2] or "tip", colour)
+    if len(tips) > 1:
+        _legend(axes[1])
     axes[1].set_ylabel("tip advance (Å)")
     curves.draw(axes[2], "broken_bonds", "broken bonds", RED)
     axes[2].set(ylabel="broken bonds", xlabel=curves.time_label)
@@ -171,7 +179,8 @@ def _crack(curves: Curves, scene: Scene) -> Picture | None:
         if len(more):
             for panel in axes:
                 panel.axvline(curves.time[more[0]], color=PALE, linewidth=0.9, linestyle="--")
-    caption = "J is estimated from the displacement of the edges (long strip). Dashed: the first bond breaks."
+    caption = "J is estimated from the displacement of the edges (long strip). " if load == "j_boundary" else ""
+    caption += "Dashed: the first bond breaks."
     return picture(figure, "Crack", caption)
 
 

@@ -50,7 +50,7 @@ def boundary_values(scene: Scene, elastic: c.IsotropicMaterial | None, reply: c.
     strain = float(top[0] - bottom[0]) / height
     found["applied_strain"] = strain
     found["edge_force"] = float(top[1])
-    if scene.crack is not None and elastic is not None:
+    if scene.crack is not None and scene.crack.start_x is None and elastic is not None:
         found["j_boundary"] = strip_j(
             elastic, table.assumption, strain, height, sideways_free=("top", 0) not in moved
         )  # fmt: skip
@@ -130,6 +130,13 @@ def regions_values(
         "ivc_force_rms": _rms(force[:, :2]),
         "ivc_error_rms": _rms(error[:, :2]),
     }
+    if len(regions) > 1:
+        anchors = [len(region.interface.anchor) for region in regions]
+        values["handshake_temperature"] = float(
+            np.average([reply.handshake_temperature for reply in replies], weights=anchors)
+        )
+        values["broken_bonds"] = float(sum(reply.broken_bonds for reply in replies))
+        values["longest_bond"] = max(reply.longest_bond for reply in replies)
     heat = [reply.thermostat_work for reply in replies if reply.thermostat_work is not None]
     if len(heat) == len(replies):
         values["thermostat_work"] = sum(heat)

@@ -119,10 +119,11 @@ def measures_of(results: Results) -> tuple[dict[str, float | None], dict[str, st
     for name in ("applied_strain", "j_boundary", "broken_bonds"):
         array = clean(name)
         add(f"{name}_end", series_of(name).unit, None if array is None else array[-1])
-    tip = clean("crack_tip")
+    tips = [clean(name) for name in series if name.split("@")[0] == "crack_tip"]
+    moved = [abs(tip[-1] - tip[0]) for tip in tips if tip is not None]
     lengths = [clean(name) for name in series if re.fullmatch(r"tip_\d+_[01]_length", name)]
     grown = [length[-1] - length[0] for length in lengths if length is not None]
-    add("crack_growth", "m", max(grown, default=None) if tip is None else tip[-1] - tip[0])
+    add("crack_growth", "m", max(moved or grown, default=None))
     error, force = clean("ivc_error_rms"), clean("ivc_force_rms")
     add("ivc_error_rms_mean", "N", None if error is None else error.mean())
     ratio = None if error is None or force is None or force.mean() == 0 else error.mean() / force.mean()

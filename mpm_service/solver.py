@@ -592,6 +592,7 @@ class MaterialPointSolver:
                     float(self._integration.at_rest),
                     totals.unfiltered,
                     totals.pending,
+                    totals.known,
                 ]
             ),
             "edge_reaction": self._integration.boundary.reaction.copy(),
@@ -647,7 +648,7 @@ class MaterialPointSolver:
             self._applied.work = values[5]
         self._integration.residual = values[6]
         self._integration.at_rest = bool(values[7])
-        totals.unfiltered, totals.pending = values[8:10]
+        totals.unfiltered, totals.pending, totals.known = values[8:11]
         self._integration.boundary.reaction[:] = state["edge_reaction"]
         self._anchors.displacement[:] = state["anchor_displacement"]
         self._anchors.velocity[:] = state["anchor_velocity"]

@@ -103,11 +103,11 @@ class ClosedFaces:
         way = springs.reach @ displacement
         force = springs.force - springs.stiffness * (way + springs.gap)
         press, drag = force[:m], force[m:]
-        most = self._facing.friction * np.maximum(press, 0.0)
+        sticks = np.isinf(self._facing.friction)
+        most = np.where(sticks, np.inf, np.where(sticks, 0.0, self._facing.friction) * np.maximum(press, 0.0))
         through = ~self._closed & (way[:m] + self._facing.gap < -_TOUCH * np.abs(displacement).max(initial=0.0))
         pulls = self._closed & (press < 0.0)
-        with np.errstate(invalid="ignore"):
-            slips = self._closed & ~self._slips & (np.abs(drag) > most)
+        slips = self._closed & ~self._slips & (np.abs(drag) > most)
         if np.any(through) or np.any(pulls) or np.any(slips):
             self._closed = (self._closed & ~pulls) | through
             self._slips |= slips
@@ -115,6 +115,5 @@ class ClosedFaces:
             self._force[slips, 1] = np.sign(drag[slips]) * most[slips]
             return False
         self._force = np.where(self._closed[:, None], np.stack([press, drag], axis=1), 0.0)
-        limit = np.where(np.isfinite(most), most, np.inf)
-        self._force[:, 1] = np.clip(self._force[:, 1], -limit, limit)
+        self._force[:, 1] = np.clip(self._force[:, 1], -most, most)
         return True

@@ -255,24 +255,25 @@ class _System:
     def solve(self, stiffness: csc_matrix) -> FloatArray:
         """Return displacements that would bring the forces to balance [m], (n d,)."""
         if self.faces is None:
-            return self._solve(stiffness, self._force)
+            return self._solve(stiffness, self._force, float(stiffness.diagonal().max()))
         stiff = stiffness.diagonal().reshape(self.rows.size, -1).max(axis=1)
         for _ in range(_ROUNDS):
             springs = self.faces.springs(stiff)
             reach = springs.reach.T
             stiffened = stiffness + reach @ diags(springs.stiffness) @ springs.reach
             force = self._force + reach @ (springs.force - springs.stiffness * springs.gap)
-            found = self._solve(stiffened, force)
+            found = self._solve(stiffened, force, float(stiff.max()))
             if self.faces.settle(springs, found):
                 break
         return found
 
-    def _solve(self, stiffness: csc_matrix, force: FloatArray) -> FloatArray:
+    def _solve(self, stiffness: csc_matrix, force: FloatArray, stiffest: float) -> FloatArray:
+        """Solve; ``stiffest`` is the largest stiffness of a node, springs not counted [N/m]."""
         free = self._free
         matrix = (free.T @ stiffness @ free).tocsc()
         stiff = matrix.diagonal()
         mass = (free.T @ diags(self._mass) @ free).diagonal()
-        kept = stiff > _LEAST_STIFFNESS * stiff.max(initial=0.0)
+        kept = stiff > _LEAST_STIFFNESS * stiffest
         if not np.any(kept):
             return self._offset
         pull = (free.T @ (force - stiffness @ self._offset))[kept]
@@ -281,7 +282,7 @@ class _System:
         for loose in self._loose:
             mine = loose[kept]
             pull[mine] -= mass[kept][mine] * (pull[mine].sum() / mass[kept][mine].sum())
-        support = _SUPPORT * stiff.max() / mass.sum() * mass
+        support = _SUPPORT * stiffest / mass.sum() * mass
         matrix = matrix[kept][:, kept] + diags(support[kept])
         scale = 1.0 / np.sqrt(stiff[kept] + support[kept])
         scaled = (diags(scale) @ matrix @ diags(scale)).tocsc()

@@ -98,7 +98,9 @@ class Totals:
     unfiltered: float = 0.0
     """Kinetic energy that the points would have, had the way to the nodes and back taken nothing."""
     pending: float = 0.0
-    """Duration of the last strain update as long as the second half of its work is not booked [s]."""
+    """Duration of the last strain update as long as the second half of its work is not known [s]."""
+    known: float = 0.0
+    """That work, where it had to be found before the next step."""
 
 
 class NodalLoad(Protocol):
@@ -173,15 +175,15 @@ class TimeIntegration:
         return self.mapping.travel > TRAVEL * self.mapping.smallest_cell
 
     def settle(self) -> None:
-        """Book what is pending, before the order of points or nodes changes."""
+        """Find what is pending, before the order of points or nodes changes."""
         if self.cracks is None or not self.cracks.changed:
-            self.totals.unfiltered += self.pending_work()
+            self.totals.known = self.pending_work()
         self.totals.pending = 0.0
 
     def pending_work(self) -> float:
         """Work of the internal forces, as they are between two steps, in the second half of the last strain update."""
         if self.totals.pending == 0.0:
-            return 0.0
+            return self.totals.known
         self.gather_state()
         force = self.nodes.momentum[:, 1 + self.mapping.columns.dimension :]
         return float(0.5 * self.totals.pending * node_kernels.power(self.mapping.active, force, self.strain_velocity))
@@ -322,8 +324,9 @@ class TimeIntegration:
         tables, totals = self.nodes, self.totals
         node_kernels.keep_forces(active, tables.momentum, tables.internal)
         if totals.pending > 0.0:
-            totals.unfiltered += 0.5 * totals.pending * node_kernels.power(active, tables.internal, self.strain_velocity)
-            totals.pending = 0.0
+            totals.known = 0.5 * totals.pending * node_kernels.power(active, tables.internal, self.strain_velocity)
+        totals.unfiltered += totals.known
+        totals.pending = totals.known = 0.0
 
     def _book_strain(self, active: IntArray, duration: float) -> None:
         """Book the first half of a strain update."""

@@ -143,6 +143,19 @@ def end(edge: str, times: FloatArray, displacements: FloatArray) -> str:
     return f'\n[[continuum.edges]]\nedge = "{edge}"\ncomponent = "x"\ntimes = [{rows}]\ndisplacements = [{ways}]\n'
 
 
+def pulled(strain: float) -> str:
+    """Return the tables of both ends pulled by a constant traction that strains the bar so."""
+    table = """
+[[continuum.edges]]
+kind = "traction"
+edge = "{}"
+component = "x"
+times = ["0 s"]
+tractions = ["{:.12e} Pa"]
+"""
+    return table.format("left", -YOUNG * strain) + table.format("right", YOUNG * strain)
+
+
 def pulse(edge: str, width: float, height: float) -> tuple[str, float]:
     """Return the table of an end that makes a bell of displacement, and its duration, s.
 

@@ -1,14 +1,10 @@
-"""Edges of a scene whose motion rises smoothly, as text to add to a scene."""
+"""Edges of a scene that strain or turn a square body uniformly, as text to add to the scene."""
 
 from __future__ import annotations
-
-from typing import Literal
 
 import numpy as np
 
 from protocol.arrays import FloatArray
-
-Edge = Literal["left", "right", "bottom", "top"]
 
 ANGSTROM = 1e-10
 PICOSECOND = 1e-12
@@ -16,24 +12,21 @@ PICOSECOND = 1e-12
 _ROWS = 25
 
 
-def smooth_rise(end: float, rise: float) -> tuple[FloatArray, FloatArray]:
-    """Return times, s, and values of s^3 (10 - 15 s + 6 s^2), which begins and ends without acceleration.
+def edge_text(edge: str, component: str, way: float, rise: float) -> str:
+    """Return a table `[[continuum.edges]]`.
 
     Parameters
     ----------
-    end : float
-        Last value.
+    edge : {"left", "right", "bottom", "top"}
+    component : {"x", "y"}
+    way : float
+        Displacement of the edge at last, m.
     rise : float
-        Duration, s.
+        Time in which it is reached, without acceleration at either end, s.
     """
     s = np.linspace(0.0, 1.0, _ROWS)
-    return rise * s, end * s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
-
-
-def edge_text(edge: Edge, component: Literal["x", "y"], end: float, rise: float) -> str:
-    """Return a table `[[continuum.edges]]` that moves an edge by `end`, m, within `rise`, s, and holds it there."""
-    times, values = smooth_rise(end, rise)
-    rows = ", ".join(f'"{time / PICOSECOND:.6g} ps"' for time in times)
+    values = way * s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    rows = ", ".join(f'"{time / PICOSECOND:.6g} ps"' for time in s * rise)
     ways = ", ".join(f'"{value / ANGSTROM:.9g} angstrom"' for value in values)
     return (
         f'\n[[continuum.edges]]\nedge = "{edge}"\ncomponent = "{component}"\n'
@@ -44,9 +37,9 @@ def edge_text(edge: Edge, component: Literal["x", "y"], end: float, rise: float)
 def gradient_text(gradient: FloatArray, half: float, rise: float) -> str:
     """Return edges that bring a square body to a uniform displacement gradient, exactly in linear elasticity.
 
-    The normal component is prescribed on all edges and, with a gradient dx/dy or dy/dx, the tangential one on the edges
-    where that is uniform. What is left free has no traction in the uniform solution: the gradient must be a stretch along
-    the axes, or dx/dy or both shears without stretch.
+    An edge moves along one of its components only, the other is free. With a stretch it is the normal one; without,
+    the tangential one. What is free has no traction in the uniform state: the gradient must be a stretch along the axes, or
+    have du_x/dy and du_y/dx alone.
 
     Parameters
     ----------
@@ -55,13 +48,11 @@ def gradient_text(gradient: FloatArray, half: float, rise: float) -> str:
     half : float
         Half the side of the body, m.
     rise : float
-        s.
+        As of `edge_text`.
     """
     stretched = gradient[0, 0] != 0.0 or gradient[1, 1] != 0.0
     text = ""
     for edge, axis, sign in (("left", 0, -1.0), ("right", 0, 1.0), ("bottom", 1, -1.0), ("top", 1, 1.0)):
-        for component in (0, 1):
-            way = sign * half * float(gradient[component, axis])
-            if (component == axis) == stretched:
-                text += edge_text(edge, "xy"[component], way, rise)  # type: ignore[arg-type]
+        component = axis if stretched else 1 - axis
+        text += edge_text(edge, "xy"[component], sign * half * float(gradient[component, axis]), rise)
     return text

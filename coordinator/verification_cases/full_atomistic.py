@@ -9,7 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from coordinator.verification_cases.runs import shipped
+from coordinator.compare import measured_properties, track
+from coordinator.full_atomistic import isotropic_of
+from coordinator.scene import load_scene
+from coordinator.verification_cases.runs import run_text, shipped
 from protocol.verification import CannotRun, Case, Check
 
 SHIPPED_SCENES: Final = Path(__file__).resolve().parents[2] / "scenes"
@@ -44,3 +47,65 @@ def lattice(folder: Path) -> list[Check]:
     scene.write_text(shipped("brittle_lattice"), encoding="utf-8")
     found = compare(scene, folder / "run")
     return _loads(found, "the whole body as a lattice, same load, 0 K")
+
+
+def graphene(folder: Path) -> list[Check]:
+    """Graphene under a crack-tip field at 10 K: load at the first broken bond, crack tip, cost."""
+    scene = SHIPPED_SCENES / "graphene_small.toml"
+    if not scene.exists():
+        raise CannotRun(f"{scene} is not there: run from a checkout")
+    found = compare(scene, folder / "run")
+    loads = [found["coupled"]["load_at_first_break"]]
+    for seed in OTHER_SEEDS:
+        loads.append(_first_break(scene, folder / f"seed_{seed}", seed))
+    scatter = max(loads) - min(loads)
+    source = (
+        f"the whole body of atoms, {found['all_atom']['atoms']} of them, same load, damping and potential; loads of "
+        f"{len(loads)} seeds of the coupled run are {', '.join(f'{load:.4g}' for load in loads)}"
+    )
+    checks = _loads(found, source)
+    checks.append(Check("scatter of the load at the first broken bond over seeds", scatter, 0.0, 0.05, source))
+    source = "wall and processor time of the full atomistic run, preparation included"
+    return [
+        *checks,
+        Check("wall time of the coupled run over the full one", found["time_share"], MOST_TIME, 0.0, source,
+              at_most=True),
+        Check("processor time of the coupled run over the full one", found["processor_share"], MOST_TIME, 0.0, source,
+              at_most=True),
+    ]  # fmt: skip
+
+
+def _loads(found: dict[str, Any], source: str) -> list[Check]:
+    coupled, whole = found["coupled"], found["all_atom"]
+    if coupled["load_at_first_break"] is None or whole["load_at_first_break"] is None:
+        raise RuntimeError("no bond broke in one of the two runs; there is no load to compare")
+    return [
+        Check("load at the first broken bond", coupled["load_at_first_break"], whole["load_at_first_break"], 0.05,
+              source),
+        Check("largest difference of loads at one crack tip", found["tip_load_difference"], 0.05, 0.0, source,
+              at_most=True),
+        Check("largest difference of crack tips since the first broken bond, lattice constants",
+              found["tip_difference_since_break"], 1.0, 0.0, source, at_most=True),
+        Check("largest difference of crack tips at one load, lattice constants", found["tip_difference"], 1.0, 0.0,
+              source, at_most=True),
+    ]  # fmt: skip
+
+
+def _first_break(scene: Path, folder: Path, seed: int) -> float:
+    """Run a scene coupled with another seed and return the load at its first broken bond."""
+    override = f"run.seed={seed}"
+    with run_text(scene.read_text(encoding="utf-8"), folder, [override]):
+        pass
+    material = isotropic_of(load_scene(scene), measured_properties(folder / "run"))
+    run = track(load_scene(scene), material, folder / "run")
+    row = run.first_break()
+    if row is None:
+        raise RuntimeError(f"no bond broke in the coupled run with seed {seed}")
+    return float(run.load[row])
+
+
+CASES = [
+    Case("coupling", "full-atomistic-lattice", "brittle lattice at 0 K, coupled against the whole lattice", lattice),
+    Case("coupling", "full-atomistic", "graphene under a crack-tip field, coupled against all atoms", graphene,
+         slow=True),
+]  # fmt: skip

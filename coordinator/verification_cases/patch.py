@@ -1,8 +1,8 @@
 """Case `coupling/patch`: a uniform strain goes through the handshake, along x, along y and as shear.
 
-The edges of the body are moved so that the whole of it would be strained uniformly, then held until the waves have died
-down. What differs from that strain comes from the handshake. The strain of the atoms is fitted to their displacements,
-that of the continuum follows from its stress: displacements of material points keep ripples of waves that passed.
+The edges of the body move smoothly as a uniform strain asks, then hold until the waves have died down. What differs
+from that strain comes from the handshake. The strain of the atoms is fitted to their displacements, that of the continuum
+follows from its stress: displacements of material points keep ripples of waves that passed.
 """
 
 from __future__ import annotations
@@ -210,7 +210,7 @@ def _case(body: Body, folder: Path) -> list[Check]:
     return _checks(errors)
 
 
-LATTICE = Body("patch_lattice", strain=1e-3, half=160e-10, bin_size=4e-10, rise=2e-12)
+LATTICE = Body("patch_lattice", strain=1e-3, half=120e-10, bin_size=4e-10, rise=1.5e-12)
 
 
 def lattice(folder: Path) -> list[Check]:

@@ -75,24 +75,31 @@ STATICS = (
 
 
 def elongation(scheme: Scheme, folder: Path) -> float:
-    """Return the static error of one overlap in a whole scene, in widths times the far strain."""
-    bar = chain.Bar(left=2.5, right=2.5, chain=4.0)
-    way = 0.5e-3 * bar.extent
-    duration = 24.0 * chain.WIDTH / chain.SPEED
-    steps = round(duration / bar.coupling_step)
-    ramp = np.array([0.0, 0.25 * duration])
-    ends = chain.end("left", ramp, np.array([0.0, -way])) + chain.end("right", ramp, np.array([0.0, way]))
+    """Return the static error of one overlap in a whole scene, in widths times the far strain.
+
+    The body starts in uniform strain under the traction of its ends, atoms and all; what it stretches further until it
+    is at rest is what its two overlaps are too long.
+    """
+    bar = chain.Bar(left=1.5, right=1.5, chain=3.0)
+    strain = 1e-4
+    steps = round(28.0 * chain.WIDTH / chain.SPEED / bar.coupling_step)
+    preload = '\n[continuum.preload]\nmethod = "static"\ntolerance = 1e-9\nmax_steps = 50\n'
     damper = f'damping_time = "{0.5 * chain.WIDTH / chain.SPEED:.9e} s"\n'
-    text = bar.text(steps, steps, damper + scheme.handshake, ends, damping_rate=0.6 * chain.SPEED / chain.WIDTH)
+    text = bar.text(
+        steps,
+        steps,
+        damper + scheme.handshake,
+        chain.pulled(strain) + preload,
+        damping_rate=0.8 * chain.SPEED / chain.WIDTH,
+    )
     with run_text(text, folder) as results:
         assert results.points is not None  # of every run
         frame = results.points.frame(len(results.points) - 1)
-        start = (frame.position - frame.displacement)[:, 0]
-        strain = []
-        for side in (-1.0, 1.0):
-            far = side * start > (0.5 * bar.chain + 0.5) * chain.WIDTH
-            strain.append(np.polyfit(start[far], frame.displacement[far, 0], 1)[0])
-    return float((2.0 * way / np.mean(strain) - bar.extent) / (2.0 * chain.RING))
+    start, moved = (frame.position - frame.displacement)[:, 0], frame.displacement[:, 0]
+    beyond = moved - strain * start
+    right = start > (0.5 * bar.chain + 0.5) * chain.WIDTH
+    left = start < -(0.5 * bar.chain + 0.5) * chain.WIDTH
+    return float((beyond[right].mean() - beyond[left].mean()) / (2.0 * chain.RING * strain))
 
 
 def reflection(scheme: Scheme, folder: Path, wavelengths: FloatArray) -> FloatArray:

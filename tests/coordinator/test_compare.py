@@ -238,6 +238,10 @@ def test_tips_are_compared_at_one_load_and_loads_at_one_tip() -> None:
     assert tip_difference(one, other, 1.0, 1.0) == 0.0
     assert one.first_break() == 49 and one.first_beyond(3.0) == 69 and one.first_beyond(5.0) is None
     assert tip_difference(one, one, 4.0, 1.0) == 0.0
+    late = tips((59, 2.0), (79, 4.0))
+    assert tip_difference(one, late, 4.0, 1.0) == pytest.approx(2.0)
+    # 10 rows later from the first bond to the second: rows 69 and 79 of the two.
+    assert tip_difference(one.since_break(), late.since_break(), 4.0, 1.0) == 0.0
 
 
 def test_a_run_that_ended_at_its_growth_is_held_there() -> None:
