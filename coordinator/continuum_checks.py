@@ -135,8 +135,9 @@ def _edges(continuum: Any, tables: set[str]) -> Iterator[Problem]:
             first = seen.setdefault((edge.edge, edge.axis), index)
             if first != index:
                 yield where, f"{edge.edge} {'xy'[edge.axis]} is prescribed already by continuum.edges.{first}"
-        if edge.displacements is not None and edge.displacements[0] != 0.0:
-            yield (*where, "displacements", 0), "must be 0: the body starts undeformed"
+        loaded = continuum.preload is not None or continuum.initial_field is not None
+        if edge.displacements is not None and edge.displacements[0] != 0.0 and not loaded:
+            yield (*where, "displacements", 0), "must be 0 without continuum.preload: the body starts undeformed"
         if "times" in needed:
             yield from _table(where, edge.times, needed[-1], getattr(edge, needed[-1]))
 

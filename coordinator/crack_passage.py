@@ -22,6 +22,9 @@ CRACK = 0
 #: Kinds of the continuum's events that the relay heeds.
 GROWTH, REACHED = "growth", "reached_overlap"
 
+#: Part of the widest gap between rows above which another one counts as wide.
+_WIDE = 0.9
+
 
 class CrackPassage:
     """One tip of a scene's crack on its way through one region.
@@ -45,6 +48,7 @@ class CrackPassage:
         self._alone = alone
         self._y = crack.y
         self._own_y = crack.y - region.frame.centre[1]
+        self._cut_y = _between_rows(region.own_reference[:, 1], self._own_y)
         self._end: Literal[0, 1] = 0 if region.frame.mirrored else 1
         tip = crack.start_x if region.frame.mirrored else crack.tip_x
         assert tip is not None
@@ -118,7 +122,7 @@ class CrackPassage:
 
     def _carry_out(self, cut: Cut, step: int) -> None:
         if cut.atoms is not None:
-            severed = a.CutRequest(from_x=cut.atoms[0], to_x=cut.atoms[1], y=self._own_y)
+            severed = a.CutRequest(from_x=cut.atoms[0], to_x=cut.atoms[1], y=self._cut_y)
             self._region.client.call("cut", severed, a.Severed, step=step)
         tip = (self._region.frame.x_to_scene(cut.continuum_to), self._y)
         extension = c.CrackExtension(crack=CRACK, end=self._end, points=[tip])
@@ -152,3 +156,17 @@ def _crossings(corners: FloatArray, y: float) -> FloatArray:
     cross = (first[:, 1] > y) != (second[:, 1] > y)
     one, other = first[cross], second[cross]
     return np.asarray(one[:, 0] + (y - one[:, 1]) * (other[:, 0] - one[:, 0]) / (other[:, 1] - one[:, 1]))
+
+
+def _between_rows(heights: FloatArray, y: float) -> float:
+    """Return the height nearest to `y` that lies in the middle of a widest gap between rows of atoms, m.
+
+    A cut there crosses the fewest bonds: in graphene the upright ones, one a cell. A glass has no rows, and is cut
+    where the crack lies.
+    """
+    rows = np.unique(np.round(heights, 12))
+    gaps = np.diff(rows)
+    wide = gaps > _WIDE * gaps.max(initial=0.0)
+    middle = 0.5 * (rows[:-1] + rows[1:])[wide]
+    near = middle[np.argmin(np.abs(middle - y))] if len(middle) else y
+    return float(near) if abs(near - y) < 2.0 * gaps.max(initial=0.0) else y

@@ -33,6 +33,8 @@ HEAVIER_THAN_HYDROGEN = 2 * 1.66e-27
 
 #: Distance above which two places are layers apart, m.
 _LAYER = 5e-12
+#: Spacings of atoms by which the outermost atom of a strip may lie inside of that of another.
+_DEEPEST = 2.0
 
 
 class Region:
@@ -228,11 +230,7 @@ class Region:
         inner, _ = snapped_overlap(
             lower, self.scene.finest_cell, float(high[0] - low[0]), float(high[1] - low[1]), handshake.width
         )
-        if not handshake.constant_weight:
-            # The material of the outermost atoms ends half a layer beyond them. At constant weight the ring ends on
-            # the atoms: light continuum beyond the last of them would be a soft gap.
-            beyond = np.array([_half_layer(self.own_reference[:, axis]) for axis in (0, 1)])
-            low, high = low - beyond, high + beyond
+        low, high = _material_edges(self.own_reference[:, :2])
         return rectangle_ring(inner, low, high, list(handshake.sides))
 
     def _requested_ring(self) -> Ring:
@@ -243,7 +241,22 @@ class Region:
         return shaped_ring(handshake.shape, -half, half, handshake.width, handshake.corners)
 
 
-def _half_layer(places: FloatArray) -> float:
-    """Return half the mean distance of a crystal's layers along an axis, m; next to nothing for a glass."""
-    layers = np.unique(np.round(places / _LAYER))
-    return 0.5 * float(np.ptp(places)) / max(len(layers) - 1, 1)
+def _material_edges(places: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return corners of a sample's material, m, from places of its atoms, shape (atoms, 2).
+
+    Each side lies at the mean of its outermost atoms: where they stand in a zigzag, a box around all would count
+    material that is not there. The mouth of a crack is no side. A single row of atoms, as theory in one dimension
+    has it, ends half a layer beyond the last of them.
+    """
+    low, high = places.min(axis=0), places.max(axis=0)
+    extent = high - low
+    if extent.min() < _LAYER:
+        return low - 0.5 * extent / (len(places) - 1), high + 0.5 * extent / (len(places) - 1)
+    spacing = float(np.sqrt(extent.prod() / len(places)))
+    for axis in (0, 1):
+        strip = ((places[:, 1 - axis] - low[1 - axis]) / spacing).astype(np.int64)
+        for sign, side in ((-1.0, low), (1.0, high)):
+            outermost = np.full(strip.max() + 1, -np.inf)
+            np.maximum.at(outermost, strip, sign * places[:, axis])
+            side[axis] = sign * outermost[outermost > outermost.max() - _DEEPEST * spacing].mean()
+    return low, high

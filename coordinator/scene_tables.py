@@ -80,6 +80,9 @@ class Handshake(Table):
         " that is stable, or constant where weight or stiffness are given",
     )
     stiffness: PositiveStiffness | None = Field(default=None, description="anchor spring, N/m; absent: by theory")
+    stiffness_weight: Annotated[float, Field(strict=True, gt=0, le=1)] | None = Field(
+        default=None, description="share of the continuum's stiffness alone; absent: by theory, or as its mass"
+    )
     alpha: Annotated[float, Field(strict=True, ge=0, lt=1)] = Field(
         default=0.0, description="the springs carry 1 - alpha of their energy (Eq 84)"
     )
@@ -103,12 +106,6 @@ class Handshake(Table):
         default=None, description="an exchange is repeated until no force on a cell has a larger standard error, N"
     )
     most_windows: Count = Field(default=10, description="repetitions at most")
-
-    @property
-    def constant_weight(self) -> bool:
-        """Whether the weight is the same in the whole ring; a profile that is left out is one where it falls."""
-        falls = self.weight is None and self.stiffness is None
-        return self.profile == "constant" or (self.profile is None and not falls)
 
     @model_validator(mode="before")
     @classmethod

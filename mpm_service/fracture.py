@@ -57,6 +57,8 @@ class PointState(Protocol):
     def reference_volume(self) -> FloatArray: ...
     @property
     def weight(self) -> FloatArray: ...
+    @property
+    def stiffness(self) -> FloatArray: ...
 
 
 class TipFrame(NamedTuple):
@@ -152,7 +154,7 @@ def fields_around(points: PointState, thickness: float, centre: ArrayLike, radiu
     place = points.reference_position
     near = np.flatnonzero(points.alive & (np.hypot(*(place - np.asarray(centre, dtype=np.float64)).T) <= radius))
     gradient = points.displacement_gradient[near]
-    volume = points.reference_volume[near] / points.weight[near]
+    volume = points.reference_volume[near] / points.stiffness[near]
     if near.size == 0:
         raise ValueError(f"no material point within {radius:.6g} m of {np.asarray(centre).tolist()} m")
     deformation = np.eye(2) + gradient
@@ -166,7 +168,7 @@ def fields_around(points: PointState, thickness: float, centre: ArrayLike, radiu
         np.ascontiguousarray(place[near]),
         back @ gradient + (back - np.eye(2)),
         np.ascontiguousarray(back @ first),
-        points.strain_energy[near] / (points.weight[near] * thickness),
+        points.strain_energy[near] / (points.stiffness[near] * thickness),
         np.ascontiguousarray(points.velocity[near] @ rotation),
         points.mass[near] / (points.weight[near] * thickness),
         volume / thickness,

@@ -150,6 +150,15 @@ class Mapping:
         """Number of points swept on lattices."""
         return int(self.begin[-1])
 
+    def may_sweep(self) -> bool:
+        """Is every point still where the nodes that were listed when it was sorted are those that it touches?"""
+        if self.travel <= TRAVEL * self.smallest_cell:
+            return True
+        place = self.points.rows[: self.alive, : self.columns.dimension]
+        margin = 0.5 * self.grids[0].cell_size
+        low, high = self.grids[0].lower + margin, self.grids[0].upper - margin
+        return self.travel < self.smallest_cell and bool(np.all((place > low) & (place < high)))
+
     def drop_lost(self) -> None:
         """Put points that left the grid behind the living ones."""
         self.alive = ordering.drop_lost(*self.points, self.alive, self.levels)

@@ -57,6 +57,8 @@ class Body:
         Reference positions [m].
     weight : (n,) ndarray
         Share of mass and stiffness the point carries, dimensionless.
+    stiffness : (n,) ndarray
+        Share of stiffness where that is another; absent: the weight.
     half : (n,) ndarray
         Half side of each point's square domain [m].
     cell_size : float
@@ -77,6 +79,12 @@ class Body:
     lower: NDArray[np.float64]
     upper: NDArray[np.float64]
     material: NDArray[np.int64]
+    stiffness: NDArray[np.float64] | None = None
+
+    @property
+    def stiffness_share(self) -> NDArray[np.float64]:
+        """Share of stiffness of each point, (n,)."""
+        return self.weight if self.stiffness is None else self.stiffness
 
     @property
     def count(self) -> int:

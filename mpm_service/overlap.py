@@ -6,6 +6,9 @@ A ring lies between two simple polygons. With d the distance to each of them, th
     --------------+-----------------------------------------------+-------------
           1       | w + (1 - w) p(s),  s = d_inner/(d_inner+d_outer) |      0       p = 0, s, 3 s^2 - 2 s^3 or s^n
 
+It is the factor on mass, and on stiffness as well unless the ring has a factor of its own for that: continuum that keeps
+its stiffness beside that of the atoms makes the ring stiffer along its sides, however it is tied to them.
+
 A point has the mean over its square domain, so a ring may end anywhere: it ends where the atoms do, which is on no
 cell line, and a gap of light continuum beyond the last atoms would be soft.
 """
@@ -24,7 +27,7 @@ from .material_points import Body, Rectangle
 
 FloatArray = NDArray[np.float64]
 Profile = Literal["constant", "linear", "cubic", "power"]
-Part = Literal["inner", "outer", "weight", "profile", "exponent"]
+Part = Literal["inner", "outer", "weight", "profile", "exponent", "stiffness"]
 
 #: Share of a domain that is round-off of decimal input: a point with no more than that outside a hole is left out.
 _NEARLY = 1e-6
@@ -42,7 +45,8 @@ class OverlapError(ValueError):
     Attributes
     ----------
     part : str
-        What is wrong with it: ``inner``, ``outer``, ``weight``, ``profile`` or ``exponent``.
+        What is wrong with it: ``inner``, ``outer``, ``weight``, ``profile``, ``exponent`` or
+        ``stiffness``.
     number : int
         Which of the overlaps, where several were given.
     """
@@ -68,6 +72,8 @@ class Overlap:
         How the factor goes on to `outer`: not at all, or to 1.
     exponent : float
         n of the profile ``power``, at least 1.
+    stiffness : float, optional
+        Factor on the stiffness in all of the ring, above 0 and at most 1; absent: the weight is the factor on both.
 
     Raises
     ------
@@ -80,6 +86,7 @@ class Overlap:
     weight: float
     profile: Profile = "constant"
     exponent: float = 1.0
+    stiffness: float | None = None
 
     def __post_init__(self) -> None:
         if not 0.0 < self.weight <= 1.0:
@@ -88,6 +95,8 @@ class Overlap:
             raise OverlapError("profile", f"is {self.profile!r}, allowed are {', '.join(get_args(Profile))}")
         if not self.exponent >= 1.0:
             raise OverlapError("exponent", f"is {self.exponent!r}, must be at least 1")
+        if self.stiffness is not None and not 0.0 < self.stiffness <= 1.0:
+            raise OverlapError("stiffness", f"is {self.stiffness!r}, must be above 0 and at most 1")
         inner, outer = _polygon("inner", self.inner), _polygon("outer", self.outer)
         slack = _TOUCHING * float(np.ptp(shapely.get_coordinates(outer), axis=0).max())
         if not outer.buffer(slack, join_style="mitre").covers(inner):
@@ -132,6 +141,7 @@ def cut_overlaps(body: Body, overlaps: Sequence[Overlap]) -> Body:
         raise ValueError(f"overlaps: are for plane bodies, this one has {body.dimension} dimensions")
     _check_places(body, overlaps)
     missing = np.zeros(body.count)
+    soft = np.zeros(body.count)
     hole = np.zeros(body.count)
     for overlap in overlaps:
         inner, outer = overlap.polygons()
@@ -139,7 +149,9 @@ def cut_overlaps(body: Body, overlaps: Sequence[Overlap]) -> Body:
         inside = _share(body, near, inner)
         ring = np.maximum(_share(body, near, outer) - inside, 0.0)
         hole[near] += inside
-        missing[near] += inside + ring * (1.0 - _mean_weight(body, near, ring, overlap))
+        weight = _mean_weight(body, near, ring, overlap)
+        missing[near] += inside + ring * (1.0 - weight)
+        soft[near] += inside + ring * (1.0 - (weight if overlap.stiffness is None else overlap.stiffness))
     kept = hole < 1.0 - _NEARLY
     if not kept.any():
         raise OverlapError("inner", "covers the whole body, no material point is left")
@@ -147,6 +159,7 @@ def cut_overlaps(body: Body, overlaps: Sequence[Overlap]) -> Body:
         body,
         position=np.ascontiguousarray(body.position[kept]),
         weight=(body.weight * (1.0 - missing))[kept],
+        stiffness=(body.stiffness_share * (1.0 - soft))[kept],
         half=body.half[kept],
         material=body.material[kept],
     )

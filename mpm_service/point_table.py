@@ -38,14 +38,15 @@ class PointTable:
         self.materials = tuple(materials)
         self.reference = body.position.copy()
         self.weight = body.weight.copy()
+        self.stiffness = body.stiffness_share.copy()
         self.material = np.array(body.material, dtype=np.int64)
         count = body.count
         c = self.columns
         rows = np.zeros((count, c.width))
         rows[:, : c.dimension] = body.position
-        volume = body.weight * (2.0 * body.half) ** c.dimension * thickness
-        rows[:, c.volume] = volume
-        rows[:, c.mass] = volume * np.array([m.density for m in materials])[self.material]
+        volume = (2.0 * body.half) ** c.dimension * thickness
+        rows[:, c.volume] = self.stiffness * volume
+        rows[:, c.mass] = self.weight * volume * np.array([m.density for m in materials])[self.material]
         rows[:, c.half] = body.half
         self.points = Points(rows, np.arange(count), np.arange(count))
         self.origin = np.arange(count)
@@ -127,6 +128,7 @@ class PointTable:
         self.reference[owner] += offset[:, 0]
         self.origin = np.concatenate([self.origin, self.origin[born]])
         self.weight = np.concatenate([self.weight, self.weight[born]])
+        self.stiffness = np.concatenate([self.stiffness, self.stiffness[born]])
         self.material = np.concatenate([self.material, self.material[born]])
         self.histories = [np.concatenate([history, history[born]]) for history in self.histories]
 
@@ -138,7 +140,7 @@ class PointTable:
         rows[row_of, c.gradient : c.stress] = gradient.reshape(self.count, -1)
         self.update_stress(slice(None))
 
-    def take(self, other: PointTable, matching: IntArray, weight: FloatArray) -> None:
+    def take(self, other: PointTable, matching: IntArray, body: Body) -> None:
         """Take place, deformation, stress and history of points of another table, and the pieces they are in now.
 
         Parameters
@@ -147,8 +149,8 @@ class PointTable:
             Of full weight.
         matching : (n,) ndarray of int
             Point of its body that is the same material as each point of this one's body.
-        weight : (n,) ndarray
-            Share of mass and stiffness of each point of this one's body.
+        body : Body
+            This one's.
         """
         mine = np.full(int(other.origin.max()) + 1, -1, dtype=np.int64)
         mine[matching] = np.arange(matching.size)
@@ -156,12 +158,13 @@ class PointTable:
         ids = np.concatenate([matching, pieces])
         c = self.columns
         self.origin = mine[other.origin[ids]]
-        self.weight = weight[self.origin]
+        self.weight, self.stiffness = body.weight[self.origin], body.stiffness_share[self.origin]
         self.reference = other.reference[ids]
         self.material = other.material[ids]
         self.histories = [history[ids] for history in other.histories]
         rows = other.points.rows[other.points.row_of[ids]]
-        rows[:, [c.mass, c.volume]] *= self.weight[:, None]
+        rows[:, c.mass] *= self.weight
+        rows[:, c.volume] *= self.stiffness
         rows[:, c.velocity : c.gradient] = 0.0
         rows[:, c.increment : c.increment + c.dimension] = 0.0
         self.points = Points(np.ascontiguousarray(rows), np.arange(ids.size), np.arange(ids.size))
@@ -174,6 +177,7 @@ class PointTable:
             "reference": self.reference.copy(),
             "point_origin": self.origin.copy(),
             "point_weight": self.weight.copy(),
+            "point_stiffness": self.stiffness.copy(),
             "point_material": self.material.copy(),
         }
         return state | {f"history_{k}": history.copy() for k, history in enumerate(self.histories)}
@@ -187,5 +191,6 @@ class PointTable:
         self.reference = np.array(state["reference"], dtype=np.float64)
         self.origin = np.array(state["point_origin"], dtype=np.int64)
         self.weight = np.array(state["point_weight"], dtype=np.float64)
+        self.stiffness = np.array(state["point_stiffness"], dtype=np.float64)
         self.material = np.array(state["point_material"], dtype=np.int64)
         self.histories = [np.array(state[f"history_{k}"], dtype=np.float64) for k in range(len(self.materials))]

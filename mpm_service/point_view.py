@@ -99,13 +99,18 @@ class PointView:
 
     @property
     def strain_energy(self) -> FloatArray:
-        """Recoverable energy of each point, scaled by the weight [J], (n,)."""
+        """Recoverable energy of each point, scaled by the share of stiffness [J], (n,)."""
         return self._table.by_material("strain_energy")
 
     @property
     def weight(self) -> FloatArray:
-        """Share of mass and stiffness the points carry, (n,)."""
+        """Share of mass the points carry, and of stiffness where that has none of its own, (n,)."""
         return self._table.weight.copy()
+
+    @property
+    def stiffness(self) -> FloatArray:
+        """Share of stiffness the points carry, (n,)."""
+        return self._table.stiffness.copy()
 
     @property
     def material(self) -> NDArray[np.int64]:
@@ -119,13 +124,13 @@ class PointView:
 
     @property
     def reference_volume(self) -> FloatArray:
-        """Volumes at step 0, scaled by the weight [m^3], (n,)."""
+        """Volumes at step 0, scaled by the share of stiffness [m^3], (n,)."""
         return self._columns(self._table.columns.volume, 1)[:, 0]
 
     @property
     def volume(self) -> FloatArray:
         """Current volumes, not scaled by the weight [m^3], (n,) (Eq 29; with the thickness stretch)."""
-        return self.volume_ratio * self.reference_volume / self._table.weight
+        return self.volume_ratio * self.reference_volume / self._table.stiffness
 
     @property
     def half(self) -> FloatArray:

@@ -296,7 +296,9 @@ def _cut(request: messages.ContinuumConfigure, body: Body) -> Body:
             inner, outer = plain.inner, plain.outer
             rings.append(Overlap.between((inner.lower, inner.upper), (outer.lower, outer.upper), plain.weight))
         for region in request.overlaps:
-            rings.append(Overlap(region.inner, region.outer, region.weight, region.profile, region.exponent))
+            rings.append(
+                Overlap(region.inner, region.outer, region.weight, region.profile, region.exponent, region.stiffness)
+            )
     except OverlapError as error:
         raise _bad_overlap(error, names[len(rings)]) from None
     try:

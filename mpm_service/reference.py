@@ -155,11 +155,12 @@ class ReferenceSolver:
 
     def energies(self) -> Energies:
         """Energies now and work so far [J]."""
+        pending = self._run.pending_work(self._step)
         alive, kinetic = self.points.alive, self._run.kinetic_energy
         edge_work, interface_work, damping_loss, unfiltered = (float(value) for value in self._run.totals)
         return Energies(
             kinetic,
-            float(np.sum(self.points.strain_energy[alive])) + self._run.pending_work(self._step),
+            float(np.sum(self.points.strain_energy[alive])) + pending,
             edge_work,
             interface_work,
             0.0,

@@ -119,8 +119,6 @@ class ReferenceStep:
 
     def pending_work(self, number: int) -> float:
         """Work of the internal forces, before step `number`, in the second half of the last strain update [J]."""
-        if self.travel > TRAVEL * self.grid.cell_size:
-            self._drop_lost()
         self.cracks.follow(self.positions_by_id())
         return self._pending_work(self._gather(self._edge_motion(number)[2]))
 

@@ -279,8 +279,6 @@ class MaterialPointSolver:
 
     def energies(self) -> Energies:
         """Energies now and work so far [J]."""
-        if self._integration.must_sort():
-            self._sort()
         totals = self._integration.totals
         kinetic = self.kinetic_energy
         return Energies(
@@ -353,7 +351,7 @@ class MaterialPointSolver:
             raise ValueError("start_from: the other solver has no point where this one has")
         if other.points_lost:
             raise ValueError(f"start_from: {other.points_lost} points of the other solver have left its grid")
-        self._table.take(other._table, found, self.body.weight)
+        self._table.take(other._table, found, self.body)
         self._mapping.points = self._table.points
         self._mapping.alive = self._table.count
         if self.cracks is not None:
@@ -474,7 +472,7 @@ class MaterialPointSolver:
             raise ValueError(f"lower: shape (m, {dimension}) is needed, got {low.shape}")
         low = checked_array("lower", low, (low.shape[0], dimension))
         high = checked_array("upper", upper, low.shape)
-        place = self.body.position
+        place = self._table.reference
         cells = [np.flatnonzero(np.all((place >= a) & (place < b), axis=1)) for a, b in zip(low, high, strict=True)]
         check_cells(self._anchors.ivc, cells)
         self._cells = CellForces(self._mapping, cells)
@@ -592,7 +590,7 @@ class MaterialPointSolver:
                     float(self._integration.at_rest),
                     totals.unfiltered,
                     totals.pending,
-                    totals.known,
+                    totals.half,
                 ]
             ),
             "edge_reaction": self._integration.boundary.reaction.copy(),
@@ -648,7 +646,7 @@ class MaterialPointSolver:
             self._applied.work = values[5]
         self._integration.residual = values[6]
         self._integration.at_rest = bool(values[7])
-        totals.unfiltered, totals.pending, totals.known = values[8:11]
+        totals.unfiltered, totals.pending, totals.half = values[8:11]
         self._integration.boundary.reaction[:] = state["edge_reaction"]
         self._anchors.displacement[:] = state["anchor_displacement"]
         self._anchors.velocity[:] = state["anchor_velocity"]
@@ -707,6 +705,7 @@ class MaterialPointSolver:
             self.damping.force_scaling,
             float(self.body.points_per_cell),
             float(self.body.weight.sum()),
+            float(self.body.stiffness_share.sum()),
             float(self.scheme.order),
             float(self.scheme.period),
             *(float(sum(map(ord, repr(self.scheme)))),),

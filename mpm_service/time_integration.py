@@ -99,8 +99,8 @@ class Totals:
     """Kinetic energy that the points would have, had the way to the nodes and back taken nothing."""
     pending: float = 0.0
     """Duration of the last strain update as long as the second half of its work is not known [s]."""
-    known: float = 0.0
-    """That work, where it had to be found before the next step."""
+    half: float = 0.0
+    """Work of the internal forces in the first half, or in the second, where that had to be found already."""
 
 
 class NodalLoad(Protocol):
@@ -176,14 +176,19 @@ class TimeIntegration:
 
     def settle(self) -> None:
         """Find what is pending, before the order of points or nodes changes."""
-        if self.cracks is None or not self.cracks.changed:
-            self.totals.known = self.pending_work()
+        self.totals.half = self.pending_work()
         self.totals.pending = 0.0
 
     def pending_work(self) -> float:
-        """Work of the internal forces, as they are between two steps, in the second half of the last strain update."""
+        """Work of the internal forces, as they are between two steps, in the second half of the last strain update.
+
+        That of the first half where forces cannot be had: points have left the grid, or cracks lie near other nodes.
+        """
         if self.totals.pending == 0.0:
-            return self.totals.known
+            return self.totals.half
+        self.must_sort()
+        if (self.cracks is not None and self.cracks.changed) or not self.mapping.may_sweep():
+            return self.totals.half
         self.gather_state()
         force = self.nodes.momentum[:, 1 + self.mapping.columns.dimension :]
         return float(0.5 * self.totals.pending * node_kernels.power(self.mapping.active, force, self.strain_velocity))
@@ -324,15 +329,15 @@ class TimeIntegration:
         tables, totals = self.nodes, self.totals
         node_kernels.keep_forces(active, tables.momentum, tables.internal)
         if totals.pending > 0.0:
-            totals.known = 0.5 * totals.pending * node_kernels.power(active, tables.internal, self.strain_velocity)
-        totals.unfiltered += totals.known
-        totals.pending = totals.known = 0.0
+            totals.half = 0.5 * totals.pending * node_kernels.power(active, tables.internal, self.strain_velocity)
+        totals.unfiltered += totals.half
+        totals.pending = totals.half = 0.0
 
     def _book_strain(self, active: IntArray, duration: float) -> None:
         """Book the first half of a strain update."""
         power = node_kernels.power(active, self.nodes.internal, self.strain_velocity)
-        self.totals.unfiltered += 0.5 * duration * power
-        self.totals.pending = duration
+        self.totals.pending, self.totals.half = duration, 0.5 * duration * float(power)
+        self.totals.unfiltered += self.totals.half
 
     def _book_forces(self, active: IntArray, duration: float) -> None:
         """Book what forces other than internal ones gave the nodes; leaves velocities halfway in `filtered`."""

@@ -68,6 +68,7 @@ class OverlapRegion(Part):
     a weight: `constant` is `weight` everywhere; the others go from `weight` at `inner` to 1 at `outer`, with
     s = d_inner / (d_inner + d_outer) from the distances to the two polygons: weight + (1 - weight) p(s),
     p = s (`linear`), 3 s^2 - 2 s^3 (`cubic`) or s^exponent (`power`). A material point takes the mean over its domain.
+    With `stiffness` the weight is that of the mass alone.
     """
 
     added_in = _V1_3
@@ -79,6 +80,9 @@ class OverlapRegion(Part):
         default="constant", description="how the factor goes from `inner` to `outer`"
     )
     exponent: Annotated[Finite, Field(ge=1)] = Field(default=1.0, description="[1] of the profile `power`")
+    stiffness: Annotated[Finite, Field(gt=0, le=1)] | None = Field(
+        default=None, description="[1] factor on the stiffness in all of the ring; absent: as the weight"
+    )
 
 
 # --- numerical scheme ----------------------------------------------------------------------------------------------

@@ -87,7 +87,7 @@ ROLES: dict[str, Role] = {
             "advance a continuum under interface reaction forces; displacement and velocity at anchors; fields",
             {
                 "hello": HELLO,
-                "configure": Operation(c.ContinuumConfigure, c.ContinuumConfigured, ANY, "configured", 120.0),
+                "configure": Operation(c.ContinuumConfigure, c.ContinuumConfigured, ANY, "configured", 3600.0),
                 "register": Operation(c.ContinuumRegister, c.ContinuumRegistered, CONFIGURED, "ready", 120.0),
                 "advance": Operation(c.ContinuumAdvance, c.ContinuumAdvanced, CONFIGURED, "ready", 600.0),
                 "extend_crack": Operation(

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from coordinator.weight_profile import WeightProfile
 from protocol.arrays import FloatArray
 
 SPACING = 3.45e-10
@@ -25,8 +26,6 @@ SPEED = math.sqrt(YOUNG / DENSITY)
 ATOMS, ATOMS_OF_CELL = 32, 4
 WIDTH = ATOMS * SPACING
 CELL = ATOMS_OF_CELL * SPACING
-#: From the outermost atom, where the ring begins, to its inner border on a grid line.
-RING = WIDTH - 0.5 * SPACING
 
 
 @dataclass(frozen=True)
@@ -173,6 +172,11 @@ def pulse(edge: str, width: float, height: float) -> tuple[str, float]:
     return end(edge, times, bell - bell[0]), float(times[-1])
 
 
-def springs(relative: float) -> float:
+def ring_width(profile: WeightProfile) -> float:
+    """Return the width of the ring, m: at constant weight it begins on the outermost atom, not half a layer beyond."""
+    return WIDTH - 0.5 * SPACING if profile.kind == "constant" else WIDTH
+
+
+def springs(profile: WeightProfile, relative: float) -> float:
     """Return the stiffness of an anchor at the outer border, N/m, for kappa L^2 / E."""
-    return relative * YOUNG / RING**2 * SECTION * SPACING
+    return relative * YOUNG / ring_width(profile) ** 2 * SECTION * SPACING

@@ -60,7 +60,7 @@ class TipBonds:
     Attributes
     ----------
     time : float64 array, shape (frames,)
-        s.
+        s; each frame is of the mean over the time since the one before.
     middle : float64 array, shape (bonds, 2)
         Of the bonds clear of the handshake, m.
     stretch : float64 array, shape (frames, bonds)
@@ -99,13 +99,13 @@ def tip_bonds(results: Results) -> TipBonds:
     at_border = (np.abs(place) > half_size - 2.0 * SPACING).any(axis=1)
     whole = lattice.stretches(lattice.at_rest(given, at_border))
     inner = (lattice.bonds < len(sample)).all(axis=1) & (np.abs(lattice.middles) < INNER).all(axis=1)
-    moved = np.zeros_like(place)
-    frames = []
-    for frame in range(len(results.atoms)):
-        moved[: len(sample)] = results.atoms.position(frame)[:, :2] - sample
-        frames.append(lattice.stretches(moved)[inner])
+    step, means = results.atoms.field("displacement")
+    moved = np.zeros((len(step), *place.shape))
+    moved[:, : len(sample)] = means[:, :, :2]
+    stretch = np.array([lattice.stretches(frame)[inner] for frame in moved])
     tip = np.argsort(-whole[inner], kind="stable")[:TIP_BONDS]
-    return TipBonds(results.atoms.time, lattice.middles[inner], np.array(frames), whole[inner], tip)
+    time = results.series["time"][np.searchsorted(results.step, step)]
+    return TipBonds(time, lattice.middles[inner], stretch, whole[inner], tip)
 
 
 def k_field(folder: Path) -> list[Check]:
@@ -134,15 +134,15 @@ def k_field(folder: Path) -> list[Check]:
 def _draw_lattice(found: dict[str, TipBonds], path: Path) -> None:
     """Draw the first tip bond over time, and where bonds differ from the whole lattice at the end."""
     with style():
-        figure = Figure(figsize=(WIDTH, 6.4), layout="constrained")
-        parts: Any = figure.subfigures(2, 1, height_ratios=(1.0, 1.15))
+        figure = Figure(figsize=(WIDTH, 5.2), layout="constrained")
+        parts: Any = figure.subfigures(2, 1, height_ratios=(1.0, 1.1))
         upper, lower = parts
         over_time = upper.subplots()
         maps = lower.subplots(1, 2, sharey=True)
         for (name, bonds), colour, axes in zip(found.items(), (BLUE, ORANGE), maps, strict=True):
             for bond in bonds.tip[::2]:
-                ratio = bonds.stretch[1:, bond] / bonds.whole[bond] - 1.0
-                over_time.plot(bonds.time[1:] * 1e12, 100.0 * ratio, "o-", ms=3, color=colour)
+                ratio = bonds.stretch[:, bond] / bonds.whole[bond] - 1.0
+                over_time.plot(bonds.time * 1e12, 100.0 * ratio, "o-", ms=3, color=colour)
             over_time.plot([], [], "o-", ms=3, color=colour, label=name)
             difference = (bonds.stretch[-1] - bonds.whole) / bonds.whole[bonds.tip[0]]
             shown = axes.scatter(
@@ -159,7 +159,7 @@ def _draw_lattice(found: dict[str, TipBonds], path: Path) -> None:
         over_time.axhspan(-0.5, 0.5, color=INK, alpha=0.1, lw=0, label="0.5 %")
         over_time.set_xlabel("time (ps)")
         over_time.set_ylabel("tip bonds against\nwhole lattice (%)")
-        over_time.set_ylim(-6.0, 6.0)
+        over_time.set_ylim(-1.0, 4.0)
         over_time.legend(ncols=3)
         figure.savefig(path)
 

@@ -177,8 +177,10 @@ def _chain_text(number: float, steps: int, steps_per_exchange: int = 10) -> str:
     """Return the scene of a bell in a bar that goes over into a chain, at weight 0.3 and an exchange number."""
     bar = chain.Bar(left=3.0, right=0.0, chain=3.0, steps_per_exchange=steps_per_exchange)
     bell, _ = chain.pulse("left", 0.5, 1e-13)
-    kappa = 4.0 * number**2 * 0.3 * (chain.RING / (chain.SPEED * bar.coupling_step)) ** 2
-    lines = f'profile = "constant"\nweight = 0.3\nstiffness = "{chain.springs(kappa):.12e} N/m"\n'
+    weight = WeightProfile("constant", 0.3)
+    kappa = 4.0 * number**2 * weight.weight * (chain.ring_width(weight) / (chain.SPEED * bar.coupling_step)) ** 2
+    stiffness = chain.springs(weight, kappa)
+    lines = f'profile = "constant"\nweight = {weight.weight}\nstiffness = "{stiffness:.12e} N/m"\n'
     return bar.text(steps, steps, lines, bell)
 
 

@@ -44,7 +44,7 @@ class Scheme:
         lines = [
             f'profile = "{self.profile.kind}"',
             f"weight = {self.profile.weight!r}",
-            f'stiffness = "{chain.springs(self.stiffness):.12e} N/m"',
+            f'stiffness = "{chain.springs(self.profile, self.stiffness):.12e} N/m"',
         ]
         return "\n".join(lines)
 
@@ -99,7 +99,7 @@ def elongation(scheme: Scheme, folder: Path) -> float:
     beyond = moved - strain * start
     right = start > (0.5 * bar.chain + 0.5) * chain.WIDTH
     left = start < -(0.5 * bar.chain + 0.5) * chain.WIDTH
-    return float((beyond[right].mean() - beyond[left].mean()) / (2.0 * chain.RING * strain))
+    return float((beyond[right].mean() - beyond[left].mean()) / (2.0 * chain.ring_width(scheme.profile) * strain))
 
 
 def reflection(scheme: Scheme, folder: Path, wavelengths: FloatArray) -> FloatArray:
@@ -111,7 +111,7 @@ def reflection(scheme: Scheme, folder: Path, wavelengths: FloatArray) -> FloatAr
     steps = round((0.5 * duration + 20.0 * chain.WIDTH / chain.SPEED) / bar.coupling_step)
     with run_text(bar.text(steps, 4, scheme.handshake, bell), folder) as results:
         time, onwards, back = waves_at(results, bar.border - 5.0 * chain.WIDTH)
-    kernel = np.exp(-2j * np.pi * chain.SPEED / (wavelengths[:, None] * chain.RING) * time)
+    kernel = np.exp(-2j * np.pi * chain.SPEED / (wavelengths[:, None] * chain.ring_width(scheme.profile)) * time)
     return np.asarray(np.abs(kernel @ back) / np.abs(kernel @ onwards))
 
 

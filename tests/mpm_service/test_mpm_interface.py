@@ -47,9 +47,11 @@ def test_anchor_force_gives_its_impulse_and_its_work() -> None:
     momentum = (solver.points.mass[:, None] * solver.points.velocity).sum(axis=0)
     np.testing.assert_allclose(momentum, force.sum(axis=0) * steps * DT, rtol=1e-10)
     energy = solver.energies()
-    work = float((force * solver.anchor_displacement).sum())
-    assert energy.interface_work == pytest.approx(work, rel=1e-11)
-    assert energy.kinetic + energy.strain == pytest.approx(work, rel=0.01)
+    work = energy.interface_work
+    assert energy.kinetic + energy.strain + energy.filter_loss == pytest.approx(work, rel=1e-5)
+    # The force acts half a step before the place that it leads to, so displacement counts half a step of it more.
+    moved = solver.anchor_displacement - 0.5 * DT * solver.anchor_velocity
+    assert float((force * moved).sum()) == pytest.approx(work, rel=1e-3)
 
 
 @pytest.mark.parametrize("crack", [None, Crack(((-1.0, 5.5), (7.3, 5.5)))])
@@ -96,13 +98,16 @@ def test_cell_force_is_shared_equally() -> None:
     momentum = (solver.points.mass[:, None] * solver.points.velocity).sum(axis=0)
     np.testing.assert_allclose(momentum, force.sum(axis=0) * 200 * DT, rtol=1e-9)
     energy = solver.energies()
-    assert energy.kinetic + energy.strain == pytest.approx(energy.interface_work, rel=0.01)
+    assert energy.kinetic + energy.strain + energy.filter_loss == pytest.approx(energy.interface_work, rel=1e-6)
     place = solver.points.reference_position
     inside = np.all((place >= [4.0, 4.0]) & (place < [6.0, 5.0]), axis=1)
     work = (solver.points.displacement[inside] * [100.0 / 8.0, 0.0]).sum()
     other = np.all((place >= [7.0, 4.0]) & (place < [8.0, 5.0]), axis=1)
     work += (solver.points.displacement[other] * [0.0, -30.0 / 4.0]).sum()
-    assert energy.interface_work == pytest.approx(work, rel=1e-6)
+    # The force acts half a step before the place that it leads to, so displacement counts half a step of it more.
+    velocity = solver.points.velocity
+    late = (velocity[inside] * [100.0 / 8.0, 0.0]).sum() + (velocity[other] * [0.0, -30.0 / 4.0]).sum()
+    assert energy.interface_work == pytest.approx(work - 0.5 * DT * late, rel=1e-3)
 
 
 def test_cell_with_anchors_and_no_points_is_named() -> None:

@@ -49,7 +49,11 @@ NOTCHED: Corners = [(8.0, 6.5), (11.7, 6.2), (10.2, 8.3), (12.1, 10.9), (7.6, 10
 @BODIES
 @pytest.mark.parametrize(
     ("inner", "outer"),
-    [(box(7.3, 6.2, 12.6, 10.1), box(5.4, 4.4, 14.7, 12.2)), (NOTCHED, SLANTED), (circle(10, 8, 3.3), circle(10, 8, 5))],
+    [
+        (box(7.3, 6.2, 12.6, 10.1), box(5.4, 4.4, 14.7, 12.2)),
+        (NOTCHED, SLANTED),
+        (circle(10, 8, 3.3), circle(10, 8, 5)),
+    ],
 )
 def test_weights_add_up_to_the_area_of_the_polygons(make: Callable[[], Body], inner: Corners, outer: Corners) -> None:
     weight = 0.13
@@ -114,7 +118,10 @@ def test_a_profile_falls_from_the_outer_border_to_the_inner_all_around() -> None
 
 
 def test_several_rings_each_count() -> None:
-    rings = [Overlap(circle(5, 8, 2), circle(5, 8, 3.5), 0.2), Overlap(circle(15, 8, 2), circle(15, 8, 3.5), 0.4, "cubic")]
+    rings = [
+        Overlap(circle(5, 8, 2), circle(5, 8, 3.5), 0.2),
+        Overlap(circle(15, 8, 2), circle(15, 8, 3.5), 0.4, "cubic"),
+    ]
     both = cut_overlaps(plate(), rings)
     alone = [cut_overlaps(plate(), [ring]) for ring in rings]
     left = both.position[:, 0] < 10
@@ -157,13 +164,15 @@ def test_polygons_that_make_no_ring_are_refused(make: Callable[[], Overlap], par
     ("rings", "part", "number"),
     [
         ([Overlap(box(30, 3, 32, 5), box(29, 2, 33, 6), 0.5)], "inner", 0),
-        ([Overlap(box(3, 3, 5, 5), box(2, 2, 6, 6), 0.5), Overlap(box(6, 3, 8, 5), box(5.9, 2, 9, 6), 0.5)], "outer", 1),
+        (
+            [Overlap(box(3, 3, 5, 5), box(2, 2, 6, 6), 0.5), Overlap(box(6, 3, 8, 5), box(5.9, 2, 9, 6), 0.5)],
+            "outer",
+            1,
+        ),
         ([Overlap(box(-1, -1, 21, 17), box(-2, -2, 22, 18), 0.5)], "inner", 0),
     ],
 )
-def test_rings_that_do_not_fit_the_body_or_each_other_are_refused(
-    rings: list[Overlap], part: str, number: int
-) -> None:
+def test_rings_that_do_not_fit_the_body_or_each_other_are_refused(rings: list[Overlap], part: str, number: int) -> None:
     with pytest.raises(OverlapError) as caught:
         cut_overlaps(plate(), rings)
     assert (caught.value.part, caught.value.number) == (part, number)
@@ -172,6 +181,17 @@ def test_rings_that_do_not_fit_the_body_or_each_other_are_refused(
 def test_rings_may_touch() -> None:
     rings = [Overlap(box(3, 3, 5, 5), box(2, 2, 6, 6), 0.5), Overlap(box(7, 3, 9, 5), box(6, 2, 10, 6), 0.5)]
     assert cut_overlaps(plate(), rings).count == 20 * 16 * 4 - 2 * 16
+
+
+def test_the_stiffness_of_a_ring_may_differ_from_its_weight() -> None:
+    inner, outer = box(7.3, 6.2, 12.6, 10.1), box(5.4, 4.4, 14.7, 12.2)
+    alike = cut_overlaps(plate(), [Overlap(inner, outer, 0.13, "cubic")])
+    soft = cut_overlaps(plate(), [Overlap(inner, outer, 0.13, "cubic", stiffness=0.02)])
+    np.testing.assert_array_equal(alike.weight, soft.weight)
+    np.testing.assert_array_equal(alike.stiffness_share, alike.weight)
+    carried = float(np.sum(soft.stiffness_share * 4 * soft.half**2))
+    ring = area_of(outer) - area_of(inner)
+    assert carried == pytest.approx(20.0 * 16.0 - area_of(inner) - 0.98 * ring, rel=1e-12)
 
 
 # --- through the messages --------------------------------------------------------------------------------------------
@@ -231,11 +251,30 @@ def test_a_body_with_rings_moves_and_keeps_its_momentum(level: list[c.Rectangle]
     np.testing.assert_allclose(last.momentum, first.momentum, atol=1e-11 * scale)
 
 
+@pytest.mark.parametrize("kind", [MaterialPointService, ReferenceService])
+def test_strain_energy_is_linear_in_the_stiffness_of_a_ring_and_mass_is_not_touched(
+    kind: type[MaterialPointService],
+) -> None:
+    """After one step from rest of all stresses the strains are the same whatever the stiffness is."""
+    whole = RINGS[1]
+    stored, moving = {}, {}
+    for share in (None, 0.1, 0.2, 0.4):
+        service = kind()
+        service.configure(request(overlaps=[whole.model_copy(update={"stiffness": share})]))
+        told = service.advance(c.ContinuumAdvance(steps=1))
+        stored[share], moving[share] = told.strain_energy, told.kinetic_energy
+    assert len(set(moving.values())) == 1
+    assert stored[0.4] > 1.01 * stored[0.1]
+    slope = (stored[0.4] - stored[0.1]) / 0.3
+    assert stored[0.2] == pytest.approx(stored[0.1] + 0.1 * slope, rel=1e-12)
+    assert stored[None] == pytest.approx(stored[0.1] + (whole.weight - 0.1) * slope, rel=1e-12)
+
+
 def test_both_backends_agree_on_rings() -> None:
     answers = []
     for kind in (MaterialPointService, ReferenceService):
         service = kind()
-        built = service.configure(request(overlaps=RINGS))
+        built = service.configure(request(overlaps=[RINGS[0], RINGS[1].model_copy(update={"stiffness": 0.02})]))
         answers.append((built, service.advance(c.ContinuumAdvance(steps=40))))
     (one, moved), (two, other) = answers
     np.testing.assert_array_equal(one.position, two.position)
