@@ -52,7 +52,7 @@ def draw(study: Study, rows: Sequence[BenchmarkRow], path: Path) -> None:
     refused = [row.label.split(": ")[1] for row in rows if "refused" in row.label]
     if refused:
         panel.set_title("; ".join(refused), loc="right", fontsize=7.5, color="#777777")
-    panel.set(xscale="log", yscale="log", xlabel="wall time of the loop (s)", ylabel="error (%)")
+    panel.set(xscale="log", yscale="log", xlabel="wall time of the loop for 1 ps (s)", ylabel="error (%)")
     panel.set_title(f"{study.problem.name}: {study.measure}", loc="left", fontsize=9.5, pad=18)
     panel.grid(True, which="both", color="#eeeeee", linewidth=0.6)
     panel.set_axisbelow(True)

@@ -21,6 +21,7 @@ title = "{name} under a crack-tip field"
 steps = {steps}
 output_every = {steps}
 checkpoint_every = {steps}
+stop_after_crack_growth = "2 angstrom"
 
 [continuum]
 assumption = "plane_stress"
@@ -140,12 +141,12 @@ class Problem:
             damping=self.damping, young=self.young, poisson=self.poisson, density=self.density, y=self.y,
             thickness=self.thickness, first=self.intensity * self.start, edges=edges, backend=self.backend,
             force_field=self.force_field, material=self.material, size=self.size if size is None else size,
-            temperature=self.temperature, time_step=self.time_step, width=ring, m=window, ivc=0.5 * ring,
-            damper=self.damper, own="\n".join(own),
+            temperature=self.temperature, time_step=self.time_step, width=ring, m=window,
+            ivc=max(0.5 * ring, self.cell), damper=self.damper, own="\n".join(own),
         )  # fmt: skip
 
 
-#: A lattice of springs that never break; a third of its step is done at once, so the wave of the load is felt.
+#: A lattice of springs that never break. The load rises within two crossings of a wave, so its motion is felt.
 LATTICE: Final = Problem(
     name="harmonic lattice", backend="lattice", force_field="harmonic", material="hexagonal", half=120, cell=8, y=-4,
     young=1024.8, poisson=0.3333, density=2284, thickness=2.8169, intensity=4.0, start=0.3, end=1.0, rest=0.2, time=1.2,

@@ -1,21 +1,22 @@
 """One-dimensional theory of the overlap: static far field, and reflected and transmitted waves.
 
-Two bars of equal modulus E and density rho overlap over a length L: the continuum from the left, scaled by a
-weight W in stiffness and mass alike, and the atoms to the right, at full weight. Springs kappa W / W(outer) per
-volume join them, and dampers rho W / (tau W(outer)), so both grow with the weight where it does. With u and r the
-displacements, x = 0 at the outer border and x = L at the inner one,
+Two bars of equal modulus E and density rho overlap over a length L: the continuum from the left, its mass scaled by a
+weight W and its stiffness by B, which is W or a small constant, and the atoms to the right, at full weight. Springs
+kappa W / W(outer) per volume join them, and dampers rho W / (tau W(outer)), so both grow with the weight where it does.
+With u and r the displacements, x = 0 at the outer border and x = L at the inner one,
 
-    (E W u')' + kappa W (r - u) = W rho u_tt,    E r'' - kappa W (r - u) = rho r_tt  (W over W(outer) in the springs),
+    (E B u')' + kappa W (r - u) = W rho u_tt,    E r'' - kappa W (r - u) = rho r_tt  (W over W(outer) in the springs),
     r'(0) = 0,  u'(L) = 0.
 
-In statics the far field is exact for one kappa. At constant weight w it has the closed form
+In statics, with B = W, the far field is exact for one kappa. At constant weight w it has the closed form
 
     lambda w sinh(lambda) = 2 + (w + 1/w) cosh(lambda),    kappa = lambda^2 E / (L^2 (1 + 1/w));
 
-for the other profiles both equations are solved with linear finite elements. A wave that is long against L meets,
-with that kappa, a body of the right compliance and of the mass m rho L too much, m the mean of W, so it is
-reflected with the amplitude pi m L / wavelength. Lengths are in units of L here, moduli of E, speeds of
-(E / rho)^(1/2).
+for the other profiles both equations are solved with linear finite elements. They may be as coarse for u as the grid
+of the continuum is: with a small B the load enters the springs within (E B / kappa)^(1/2) of the outer border, which a
+grid widens to a cell. A wave that is long against L meets a body that is m L rho too heavy, m the mean of W, and
+longer by the static error d in units of L, so it is reflected with the amplitude pi |m - d| L / wavelength. Lengths
+are in units of L here, moduli of E, speeds of (E / rho)^(1/2).
 """
 
 from __future__ import annotations
@@ -31,9 +32,10 @@ from scipy.linalg import solve_banded
 from scipy.optimize import brentq
 
 from coordinator.weight_profile import WeightProfile
+from protocol.arrays import FloatArray
 
-_ELEMENTS = 400
-_BAND = 3  # unknowns alternate between the bars, u0 r0 u1 r1 ...
+#: Elements of the finest bars, and of the atoms'.
+_ELEMENTS = 100
 
 
 @dataclass(frozen=True)
@@ -83,14 +85,17 @@ def exact_stiffness(profile: WeightProfile) -> float:
     Parameters
     ----------
     profile : WeightProfile
+        Of stiffness and mass alike.
     """
+    if profile.stiffness is not None:
+        raise ValueError(f"profile has a stiffness of its own, {profile.stiffness}: no springs are exact on every grid")
     if profile.kind == "constant":
         return exact_lambda(profile.weight) ** 2 / (1.0 + 1.0 / profile.weight)
     # Between full weight, which takes the softest springs, and more than the steepest profile needs.
     return math.exp(brentq(lambda x: static_error(profile, math.exp(x)), 0.0, math.log(1e6), xtol=1e-10))
 
 
-def static_error(profile: WeightProfile, stiffness: float) -> float:
+def static_error(profile: WeightProfile, stiffness: float, cells: int | None = None) -> float:
     """Return by how much the bars stretch beyond one whole bar, in units of L times the far strain.
 
     Parameters
@@ -98,13 +103,16 @@ def static_error(profile: WeightProfile, stiffness: float) -> float:
     profile : WeightProfile
     stiffness : float
         kappa L^2 / E at the outer border.
+    cells : int, optional
+        Of the continuum's grid in one L; fine ones without.
     """
-    if profile.kind == "constant":
+    if profile.kind == "constant" and profile.stiffness is None and cells is None:
         return _constant_error(profile.weight, stiffness)
-    matrix = _bars(profile, stiffness, 0.0)[:, 1:]  # without its first unknown: the continuum is held at x = 0
-    load = np.zeros(matrix.shape[1])
-    load[-1] = 1.0  # unit pull on the atoms at the inner border
-    return float(solve_banded((_BAND, _BAND), matrix, load)[-1] - 1.0)
+    bars = _Bars(profile, stiffness, 0.0, cells)
+    # The continuum is held at the outer border, and a unit force pulls the atoms at the inner one.
+    bars.continuum, bars.across = bars.continuum[1:, 1:], bars.across[1:]
+    _, r = bars.moved(np.zeros(len(bars.continuum)), 1.0)
+    return float(r[-1] - 1.0)
 
 
 def _constant_error(w: float, stiffness: float) -> float:
@@ -120,7 +128,9 @@ def _constant_error(w: float, stiffness: float) -> float:
     return (1.0 + w * inner + outer) / (1.0 + w) - 1.0
 
 
-def scatter(profile: WeightProfile, stiffness: float, wavelength: float, damping: float = 0.0) -> Scattering:
+def scatter(
+    profile: WeightProfile, stiffness: float, wavelength: float, damping: float = 0.0, cells: int | None = None
+) -> Scattering:
     """Return what becomes of a wave that comes from the continuum.
 
     Parameters
@@ -132,38 +142,71 @@ def scatter(profile: WeightProfile, stiffness: float, wavelength: float, damping
         In units of L.
     damping : float
         L / (c tau) at the outer border, c the wave speed.
+    cells : int, optional
+        Of the continuum's grid in one L; fine ones without.
     """
     omega = 2.0 * math.pi / wavelength
-    matrix = _bars(profile, stiffness + 1j * omega * damping, omega)
+    bars = _Bars(profile, stiffness + 1j * omega * damping, omega, cells)
     # Half-infinite bars on either side: a force i omega u each, and 2 i omega from the wave of amplitude one.
-    matrix[_BAND, 0] += 1j * omega
-    matrix[_BAND, -1] += 1j * omega
-    load = np.zeros(matrix.shape[1], dtype=np.complex128)
-    load[0] = 2j * omega
-    moved = solve_banded((_BAND, _BAND), matrix, load)
-    return Scattering(float(abs(moved[0] - 1.0)), float(abs(moved[-1])))
+    bars.continuum[0, 0] += 1j * omega
+    bars.atoms[1, -1] += 1j * omega
+    force = np.zeros(len(bars.continuum), dtype=np.complex128)
+    force[0] = 2j * omega
+    u, r = bars.moved(force, 0.0)
+    return Scattering(float(abs(u[0] - 1.0)), float(abs(r[-1])))
 
 
-def _bars(profile: WeightProfile, spring: complex, omega: float) -> NDArray[Any]:
-    """Return stiffness minus omega^2 mass of both bars and their springs, as diagonals for `solve_banded`."""
-    h = 1.0 / _ELEMENTS
-    weight = profile.at(np.linspace(1.0 - 0.5 * h, 0.5 * h, _ELEMENTS))
-    tie = spring * weight / profile.at_border
-    matrix = np.zeros((2 * _BAND + 1, 2 * (_ELEMENTS + 1)), dtype=np.complex128 if omega else np.float64)
+class _Bars:
+    """Stiffness minus omega^2 mass of both bars and their springs.
 
-    def add(bar: int, other: int, same: NDArray[Any], across: NDArray[Any]) -> None:
-        """Add a 2 x 2 element matrix with `same` on its diagonal, `across` off it, between two bars."""
-        near, far = slice(None, -1), slice(1, None)
-        rows = matrix.reshape(2 * _BAND + 1, _ELEMENTS + 1, 2)  # entry (row i, column j) lies at [BAND + i - j, j]
-        shift = bar - other
-        rows[_BAND + shift, near, other] += same
-        rows[_BAND + shift, far, other] += same
-        rows[_BAND + shift + 2, near, other] += across
-        rows[_BAND + shift - 2, far, other] += across
+    Attributes
+    ----------
+    continuum : array, shape (nodes, nodes)
+        Of the continuum, from the outer border inwards.
+    across : array, shape (nodes, fine nodes)
+        Between continuum and atoms.
+    atoms : array, shape (3, fine nodes)
+        Of the atoms, as diagonals for `solve_banded`.
+    """
 
-    for bar, scale in ((0, weight), (1, np.ones(_ELEMENTS))):
-        inertia = omega**2 * scale * h / 6.0
-        add(bar, bar, scale / h - 2.0 * inertia + tie * h / 3.0, -scale / h - inertia + tie * h / 6.0)
-    for bar in (0, 1):
-        add(bar, 1 - bar, -tie * h / 3.0, -tie * h / 6.0)
-    return matrix
+    def __init__(self, profile: WeightProfile, spring: complex, omega: float, cells: int | None) -> None:
+        elements = _ELEMENTS if cells is None else cells * -(-_ELEMENTS // cells)
+        h = 1.0 / elements
+        share = np.linspace(1.0 - 0.5 * h, 0.5 * h, elements)
+        weight, tie = profile.at(share), spring * profile.at(share) / profile.at_border
+        springs = _diagonals(tie * h / 3.0, tie * h / 6.0)
+
+        def bar(stiffness: FloatArray, mass: FloatArray) -> NDArray[Any]:
+            inertia = omega**2 * mass * h / 6.0
+            return np.asarray(_diagonals(stiffness / h - 2.0 * inertia, -stiffness / h - inertia) + springs)
+
+        # Displacements of the fine nodes from those of the grid: linear functions.
+        way = np.arange(elements + 1) * (cells or elements) / elements
+        hats = np.maximum(0.0, 1.0 - np.abs(way - np.arange((cells or elements) + 1)[:, None]))
+        fine = bar(profile.stiffness_at(share), weight)
+        self.continuum = _times(hats, fine) @ hats.T
+        self.across = -_times(hats, springs)
+        self.atoms = bar(np.ones(elements), np.ones(elements))
+
+    def moved(self, on_continuum: NDArray[Any], on_atoms: float) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return displacements of both bars under forces on the continuum's nodes and on the innermost atom."""
+        forces = np.zeros((self.atoms.shape[1], len(self.continuum) + 1), dtype=self.atoms.dtype)
+        forces[:, :-1] = self.across.T
+        forces[-1, -1] = on_atoms
+        solved = solve_banded((1, 1), self.atoms, forces)
+        u = np.linalg.solve(self.continuum - self.across @ solved[:, :-1], on_continuum - self.across @ solved[:, -1])
+        return u, solved[:, -1] - solved[:, :-1] @ u
+
+
+def _diagonals(same: NDArray[Any], across: NDArray[Any]) -> NDArray[Any]:
+    """Return the sum of 2 x 2 element matrices, `same` on their diagonal and `across` off it, as three diagonals."""
+    main = np.append(same, 0.0) + np.append(0.0, same)
+    return np.array([np.append(0.0, across), main, np.append(across, 0.0)])
+
+
+def _times(rows: FloatArray, diagonals: NDArray[Any]) -> NDArray[Any]:
+    """Return rows times the symmetric matrix of three diagonals, shape of the rows."""
+    found = rows * diagonals[1]
+    found[:, 1:] += rows[:, :-1] * diagonals[0, 1:]
+    found[:, :-1] += rows[:, 1:] * diagonals[2, :-1]
+    return np.asarray(found)

@@ -26,17 +26,22 @@ class WeightProfile:
         w, above 0 and at most 1.
     exponent : float
         Of `power`, at least 1.
+    stiffness : float or None
+        Factor on the continuum's stiffness, the same all over the overlap; None: W, as for its mass.
     """
 
     kind: Kind
     weight: float
     exponent: float = 1.0
+    stiffness: float | None = None
 
     def __post_init__(self) -> None:
         if not 0.0 < self.weight <= 1.0:
             raise ValueError(f"weight is {self.weight}; it must be above 0 and at most 1")
         if not self.exponent >= 1.0:
             raise ValueError(f"exponent is {self.exponent}; it must be at least 1")
+        if self.stiffness is not None and not 0.0 < self.stiffness <= 1.0:
+            raise ValueError(f"stiffness is {self.stiffness}; it must be above 0 and at most 1")
 
     def at(self, share: FloatArray) -> FloatArray:
         """Return W at shares s in [0, 1], any shape."""
@@ -45,6 +50,12 @@ class WeightProfile:
             return np.full_like(s, self.weight)
         rise = {"linear": lambda: s, "cubic": lambda: s * s * (3.0 - 2.0 * s), "power": lambda: s**self.exponent}
         return np.asarray(self.weight + (1.0 - self.weight) * rise[self.kind]())
+
+    def stiffness_at(self, share: FloatArray) -> FloatArray:
+        """Return the factor on the continuum's stiffness at shares s in [0, 1], any shape."""
+        return (
+            self.at(share) if self.stiffness is None else np.full_like(np.asarray(share, dtype=float), self.stiffness)
+        )
 
     @property
     def at_border(self) -> float:

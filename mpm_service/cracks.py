@@ -401,7 +401,7 @@ class CrackSet:
         )
 
     def facing(self, momentum: FloatArray) -> Facing:
-        """Pairs of velocity fields with material (``momentum`` as in `hold`) that a crack parts at a node."""
+        """Pairs of velocity fields that a crack parts at a node, for statics; ``momentum`` as in `hold`."""
         most = 3 * self._near_node.size
         node, pair, mark = np.zeros((most, 2), dtype=np.int64), np.zeros(most, dtype=np.int64), np.zeros(most, np.int64)
         made = list_facing(

@@ -6,8 +6,8 @@ A ring lies between two simple polygons. With d the distance to each of them, th
     --------------+-----------------------------------------------+-------------
           1       | w + (1 - w) p(s),  s = d_inner/(d_inner+d_outer) |      0       p = 0, s, 3 s^2 - 2 s^3 or s^n
 
-It is the factor on mass, and on stiffness as well unless the ring has a factor of its own for that: continuum that keeps
-its stiffness beside that of the atoms makes the ring stiffer along its sides, however it is tied to them.
+It is the factor on mass, and on stiffness as well unless the ring has a factor of its own for that: continuum that
+keeps its stiffness beside that of the atoms makes the ring stiffer along its sides, however it is tied to them.
 
 A point has the mean over its square domain, so a ring may end anywhere: it ends where the atoms do, which is on no
 cell line, and a gap of light continuum beyond the last atoms would be soft.

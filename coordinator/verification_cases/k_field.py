@@ -154,7 +154,7 @@ def _draw_lattice(found: dict[str, TipBonds], path: Path) -> None:
             axes.grid(False)
         maps[0].set_ylabel("y (A)")
         lower.colorbar(
-            shown, ax=list(maps), label="stretch less that of the whole lattice\n(% of the first tip bond's)"
+            shown, ax=list(maps), shrink=0.9, label="stretch less the whole lattice's\n(% of the first tip bond's)"
         )
         over_time.axhspan(-0.5, 0.5, color=INK, alpha=0.1, lw=0, label="0.5 %")
         over_time.set_xlabel("time (ps)")

@@ -255,19 +255,20 @@ def test_a_body_with_rings_moves_and_keeps_its_momentum(level: list[c.Rectangle]
 def test_strain_energy_is_linear_in_the_stiffness_of_a_ring_and_mass_is_not_touched(
     kind: type[MaterialPointService],
 ) -> None:
-    """After one step from rest of all stresses the strains are the same whatever the stiffness is."""
+    """Over a time that is short against any wave through a cell, strains are the same whatever the stiffness is."""
     whole = RINGS[1]
     stored, moving = {}, {}
     for share in (None, 0.1, 0.2, 0.4):
         service = kind()
-        service.configure(request(overlaps=[whole.model_copy(update={"stiffness": share})]))
-        told = service.advance(c.ContinuumAdvance(steps=1))
+        ring = whole.model_copy(update={"stiffness": share})
+        service.configure(request(overlaps=[ring], time_step=1e-4 * SIDE / 1e3))
+        told = service.advance(c.ContinuumAdvance(steps=10))
         stored[share], moving[share] = told.strain_energy, told.kinetic_energy
-    assert len(set(moving.values())) == 1
+    assert moving[0.4] == pytest.approx(moving[0.1], rel=1e-6)
     assert stored[0.4] > 1.01 * stored[0.1]
     slope = (stored[0.4] - stored[0.1]) / 0.3
-    assert stored[0.2] == pytest.approx(stored[0.1] + 0.1 * slope, rel=1e-12)
-    assert stored[None] == pytest.approx(stored[0.1] + (whole.weight - 0.1) * slope, rel=1e-12)
+    assert stored[0.2] == pytest.approx(stored[0.1] + 0.1 * slope, rel=1e-4)
+    assert stored[None] == pytest.approx(stored[0.1] + (whole.weight - 0.1) * slope, rel=1e-4)
 
 
 def test_both_backends_agree_on_rings() -> None:
