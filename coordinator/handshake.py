@@ -29,7 +29,13 @@ the map is 1 + 2 S (n - 1) / n, above 1, so it is unstable without dampers for a
 Springs and dampers that follow the weight, kappa W and rho W / tau, have the same S and D everywhere and on any grid,
 since what spreads the springs' forces also spreads the mass. Then S^(1/2) = C c Dt / (m L) with C from 0.67 to 0.74
 whatever the profile; constant weight has C = 0.85 at 1, 2.4 at 0.2 and 4.8 at 0.1, since there the load passes in a
-layer of w^2 L. Hence the default: weight 0.05 rising to 1 with the largest exponent that is stable.
+layer of w^2 L. Hence weight 0.05 rising to 1 with the largest exponent that is stable.
+
+In two dimensions the continuum's stiffness in the overlap also holds the ring along its sides, which no springs can
+undo. So, where the exchange bears springs that are stiff enough, the continuum keeps its mass W but only a hundredth
+of its stiffness, and the springs have an exchange number of 0.6 instead of being statically exact: the static error,
+then the slip in the springs of the first cell, is accepted while it is at most m, which is where it has lowered the
+reflection pi |m - d| L / wavelength as far as the mass had raised it. Else stiffness is scaled as mass.
 """
 
 from __future__ import annotations
@@ -54,6 +60,10 @@ CHOSEN_NUMBER: dict[Scheme, float] = {"serial": 0.7, "parallel": 0.6}
 SMALLEST_WEIGHT = 0.05
 #: Steeper profiles gain little: at 8 the mean weight is 0.16, and the first cell holds most of the rise.
 LARGEST_EXPONENT = 8
+#: Share of the continuum's stiffness that is left where its mass alone carries: enough to hold its nodes together.
+SMALL_STIFFNESS = 0.01
+#: Exchange number of the springs then, and their largest kappa L^2 / E.
+SPRING_NUMBER, LARGEST_STIFFNESS = 0.6, 500.0
 #: kappa L^2 / E of springs that count as stiff: a far field of two bars is then 0.48 L too short at full weight.
 STIFF = 1000.0
 #: Dampers follow the weight in powers of two, since an engine may need a thermostat for each value, and not below this.
@@ -81,6 +91,8 @@ class Handshake:
         How far the coupled body stretches beyond one whole body, in widths of the overlap times the far strain.
     relative_stiffness : float
         kappa L^2 / E at the outer border.
+    cells : int or None
+        Of the continuum's grid in the width; None where that does not matter.
     """
 
     profile: WeightProfile
@@ -89,6 +101,7 @@ class Handshake:
     scheme: Scheme
     static_error: float
     relative_stiffness: float
+    cells: int | None = None
 
     @property
     def weight(self) -> float:
@@ -99,6 +112,11 @@ class Handshake:
     def exponent(self) -> float:
         """Exponent of the profile `power`, else 1."""
         return self.profile.exponent
+
+    @property
+    def stiffness_share(self) -> float | None:
+        """Factor on the continuum's stiffness alone; None: the weight."""
+        return self.profile.stiffness
 
     @property
     def mean_weight(self) -> float:
@@ -127,7 +145,7 @@ class Handshake:
         damping : float
             Time of a wave through the overlap over the damping time, L / (c tau).
         """
-        return scatter(self.profile, self.relative_stiffness, wavelength, damping).reflected
+        return scatter(self.profile, self.relative_stiffness, wavelength, damping, self.cells).reflected
 
 
 def damping_share(profile: WeightProfile, share: FloatArray) -> FloatArray:
@@ -202,15 +220,22 @@ class _Exchange:
         """Return the handshake of a profile, with the statically exact springs where none are given."""
         unit = self.young / self.width**2
         kappa = exact_stiffness(profile) * unit if stiffness_density is None else stiffness_density
-        number = self.number(profile, kappa)
-        return Handshake(profile, kappa, number, self.scheme, static_error(profile, kappa / unit), kappa / unit)
+        cells = None if profile.stiffness is None else self.cells
+        error = static_error(profile, kappa / unit, cells)
+        return Handshake(profile, kappa, self.number(profile, kappa), self.scheme, error, kappa / unit, cells)
 
-    def stiffest(self, profile: WeightProfile) -> float:
-        """Return the stiffness of springs that are stiff, or as stiff as the exchange bears, N/m4."""
-        stiff = STIFF * self.young / self.width**2
+    def stiffest(self, profile: WeightProfile, relative: float, number: float) -> float:
+        """Return springs of kappa L^2 / E = `relative`, or softer ones with the exchange number, N/m4."""
+        stiff = relative * self.young / self.width**2
         without, wanted = self.number(profile, 0.0), self.number(profile, stiff)
-        left = self.aim**2 - without**2
-        return stiff if wanted <= self.aim or left <= 0.0 else stiff * left / (wanted**2 - without**2)
+        left = number**2 - without**2
+        return stiff if wanted <= number or left <= 0.0 else stiff * left / (wanted**2 - without**2)
+
+    @property
+    def cells(self) -> int | None:
+        """Cells of the continuum's grid in the width; None where they are not known."""
+        way = self.coupling_step * math.sqrt(self.young / self.density)
+        return max(1, round(self.courant * self.width / way)) if self.courant > 0.0 else None
 
 
 def choose(
@@ -223,6 +248,7 @@ def choose(
     weight: float | None = None,
     stiffness_density: float | None = None,
     profile: Kind | None = None,
+    stiffness_share: float | None = None,
     scheme: Scheme = "serial",
     courant: float = 0.0,
     stiff: bool = False,
@@ -231,6 +257,7 @@ def choose(
 
     Without a profile it is `power` from a weight of 0.05, or `constant` where weight or stiffness are given. For
     `power` the exponent is the largest whole one up to 8 that is stable; else, and where none is, the weight grows.
+    Where nothing at all is given, springs of a continuum of small stiffness are taken if they slip little; see above.
 
     Parameters
     ----------
@@ -247,9 +274,11 @@ def choose(
     stiffness_density : float, optional
         At the outer border, N/m4. At constant weight the weight then follows from it, unless that is given.
     profile : {"constant", "linear", "cubic", "power"}, optional
+    stiffness_share : float, optional
+        Factor on the continuum's stiffness alone, not its mass. Springs are then as stiff as the exchange bears.
     scheme : {"serial", "parallel"}
     courant : float
-        c Dt / h with h the size of a cell, of the parallel scheme.
+        c Dt / h with h the size of a cell in the overlap; 0 where it is not known.
     stiff : bool
         Springs as stiff as the exchange bears instead of statically exact ones, as the dissertation has them.
 
@@ -259,17 +288,35 @@ def choose(
         Where the exchange would be unstable; the message names the limit and what to change.
     """
     exchange = _Exchange(young, density, width, coupling_step, damping_time, scheme, courant)
+    free = profile is None and weight is None and stiffness_density is None
     kind = profile or ("power" if weight is None and stiffness_density is None else "constant")
     if kind == "constant" and weight is None and stiffness_density is not None:
         weight = exact_weight(stiffness_density * width**2 / young)
     if stiff and stiffness_density is None:
         full = WeightProfile(kind, 1.0 if weight is None else weight)
-        chosen = exchange.handshake(full, exchange.stiffest(full))
+        chosen = exchange.handshake(full, exchange.stiffest(full, STIFF, exchange.aim))
+    elif stiffness_share is not None:
+        chosen = _carried_by_mass(exchange, kind, weight, stiffness_density, stiffness_share)
     else:
         chosen = _steepest(exchange, kind, weight, stiffness_density)
+        if free and exchange.cells is not None:
+            other = _carried_by_mass(exchange, kind, None, None, SMALL_STIFFNESS)
+            if other.static_error <= other.mean_weight and other.exchange_number <= exchange.aim:
+                chosen = other
     if not chosen.exchange_number < STABILITY_LIMIT[scheme]:
         raise HandshakeError(_refusal(exchange, chosen))
     return chosen
+
+
+def _carried_by_mass(
+    exchange: _Exchange, kind: Kind, weight: float | None, stiffness_density: float | None, share: float
+) -> Handshake:
+    """Return the handshake of a continuum of small stiffness, its springs as stiff as is wise unless they are given."""
+    exponent = float(LARGEST_EXPONENT) if kind == "power" else 1.0
+    profile = WeightProfile(kind, SMALLEST_WEIGHT if weight is None else weight, exponent, share)
+    if stiffness_density is None:
+        stiffness_density = exchange.stiffest(profile, LARGEST_STIFFNESS, min(SPRING_NUMBER, exchange.aim))
+    return exchange.handshake(profile, stiffness_density)
 
 
 def _steepest(exchange: _Exchange, kind: Kind, weight: float | None, stiffness_density: float | None) -> Handshake:

@@ -6,6 +6,7 @@ Everything that a `Region` is given or gives lies in the scene's frame; the serv
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from coordinator.atomistic_request import (
     advance_request,
@@ -252,7 +253,8 @@ def _material_edges(places: FloatArray) -> tuple[FloatArray, FloatArray]:
     extent = high - low
     if extent.min() < _LAYER:
         return low - 0.5 * extent / (len(places) - 1), high + 0.5 * extent / (len(places) - 1)
-    spacing = float(np.sqrt(extent.prod() / len(places)))
+    # Strips a little wider than atoms are apart: in a straight row each of them holds one.
+    spacing = 1.001 * float(np.median(cKDTree(places).query(places, 2)[0][:, 1]))
     for axis in (0, 1):
         strip = ((places[:, 1 - axis] - low[1 - axis]) / spacing).astype(np.int64)
         for sign, side in ((-1.0, low), (1.0, high)):

@@ -22,9 +22,6 @@ IntArray = NDArray[np.int64]
 
 #: Contact laws by number, in the order of ``crack_line.Contact``.
 FRICTIONLESS, STICK, COULOMB = range(3)
-#: A field with less than this share of the mass of the other one at its node is a sliver of a point's domain: where it
-#: goes tells nothing of the faces.
-LEAST_SHARE = 1e-3
 # With three fields the pairs act on each other: rounds at most, and the change of velocity, over the largest of
 # the first round, at which they end.
 _ROUNDS = 50
@@ -186,7 +183,7 @@ def list_facing(
     of_pair: IntArray,
     mark: IntArray,
 ) -> int:
-    """List the pairs of velocity fields that a crack parts at a node, slivers left out; returns their number.
+    """List the pairs of velocity fields that a crack parts at a node, for statics; returns their number.
 
     ``node`` (m, 2) gets the rows of the left and the right field, ``of_pair`` (m,) the node-crack pair that holds
     normal and gap, ``mark`` (m,) a number that stays the same while the near nodes change: nine for each grid node.
@@ -203,8 +200,7 @@ def list_facing(
             for g in range(f + 1, 3):
                 if (f > 0 and bits[f] == 0) or bits[g] == 0:
                     continue
-                low, high = momentum[row[f], 0], momentum[row[g], 0]
-                if not min(low, high) > LEAST_SHARE * max(low, high):
+                if not (momentum[row[f], 0] > 0.0 and momentum[row[g], 0] > 0.0):
                     continue
                 q = _parting_pair(pairs, joints.branch, joints.main, k, bits[f] ^ bits[g])
                 if q < 0:

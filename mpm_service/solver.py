@@ -379,11 +379,16 @@ class MaterialPointSolver:
         Raises
         ------
         ValueError
-            If steps have been made already, or a material has no tangent.
+            If steps have been made already, a cell has one point, or a material has no tangent.
         SolverError
             If nothing holds the body, a point leaves the grid or its material has no stress for its deformation.
         """
         self._only_at_start("equilibrate")
+        if self.body.points_per_cell < 2:
+            raise ValueError(
+                "points_per_cell = 1: statics needs at least 2, since one point in a cell does not see all that its "
+                "nodes can do; dynamic relaxation takes any number"
+            )
         solution = StaticSolution(self._integration, self._table, self._anchors, self._sort)
         try:
             return solution.solve(tolerance, max_steps, told)
