@@ -10,7 +10,7 @@ apart from it::
 
     momentum    change of the atoms'     = - (mean reactions + reference forces) M dt
 
-`filter` is the kinetic energy that the way from material points to grid and back takes. The reference force of
+`filter` is the energy that the way from material points to grid and back takes. The reference force of
 Eq 87 is subtracted from what the continuum gets, so it works on the anchors all the same. The last line misses by the
 one coupling step that the continuum's force is old, and by the work of dampers, whose force is handed over too.
 Momentum misses by what the noise of a thermostat gives, which no reaction tells.

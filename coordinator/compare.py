@@ -27,7 +27,7 @@ from coordinator.full_atomistic import (
     whole_body,
 )
 from coordinator.results import Results
-from coordinator.run import run_scene, set_aside
+from coordinator.run import INTERRUPTED_STATUS, run_scene, set_aside
 from coordinator.scene import Scene, load_scene
 from coordinator.units import LENGTHS, readable
 from protocol.arrays import FloatArray
@@ -219,6 +219,8 @@ def compare_scene(
     watch = Stopwatch()
     code = run_scene(scene_path, folder / COUPLED, overrides=overrides, console=console)
     coupled_cost = watch.read()
+    if code == INTERRUPTED_STATUS:
+        raise KeyboardInterrupt
     if code != 0:
         raise RuntimeError(f"the coupled run ended with status {code}; there is nothing to compare with")
     properties = measured_properties(folder / COUPLED)

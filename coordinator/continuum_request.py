@@ -98,7 +98,12 @@ def continuum_request(
 
 def _plain_overlap(regions: Sequence[Region], overlaps: Sequence[c.OverlapRegion]) -> c.Overlap | None:
     """Return a single ring between rectangles as every version of the protocol has it; None for others."""
-    if len(regions) != 1 or overlaps[0].profile != "constant" or not regions[0].interface.ring.plain:
+    if (
+        len(regions) != 1
+        or overlaps[0].profile != "constant"
+        or overlaps[0].stiffness
+        or not regions[0].interface.ring.plain
+    ):
         return None
     inner, outer = (np.array(corners) for corners in (overlaps[0].inner, overlaps[0].outer))
     return c.Overlap(inner=_box(inner), outer=_box(outer), weight=overlaps[0].weight)

@@ -11,6 +11,7 @@ outer border; the continuum lies to the left and in the overlap (0, 1), the atom
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,10 +75,16 @@ class Model:
         return (np.arange(round((1.0 + self.atoms_length) * self.atoms)) + 0.5) / self.atoms
 
     def element_weights(self) -> FloatArray:
-        """Mean weight of each element, shape (nodes - 1,)."""
-        nodes = self.nodes
-        fine = nodes[:-1, None] + (np.arange(64) + 0.5) / 64 / self.cells
-        return np.asarray(np.where(fine < 0.0, 1.0, self.profile.at(1.0 - fine)).mean(axis=1))
+        """Mean factor on the mass of each element, shape (nodes - 1,)."""
+        return self._mean(self.profile.at)
+
+    def element_stiffness(self) -> FloatArray:
+        """Mean factor on the stiffness of each element, shape (nodes - 1,)."""
+        return self._mean(self.profile.stiffness_at)
+
+    def _mean(self, factor: Callable[[FloatArray], FloatArray]) -> FloatArray:
+        fine = self.nodes[:-1, None] + (np.arange(64) + 0.5) / 64 / self.cells
+        return np.asarray(np.where(fine < 0.0, 1.0, factor(1.0 - fine)).mean(axis=1))
 
 
 @dataclass
@@ -142,7 +149,7 @@ def advance(model: Model, state: State, steps: int) -> FloatArray:
     energy = np.zeros((steps, 3))
     done = _advance(
         steps, model.coupling_step, model.steps_per_exchange, model.continuum_steps, model.impulse,
-        model.scheme == "parallel", weight / h, mass, 1.0 / a, a, spring, damper, left, way - left,
+        model.scheme == "parallel", model.element_stiffness() / h, mass, 1.0 / a, a, spring, damper, left, way - left,
         state.node, state.node_velocity, state.atom, state.atom_velocity, state.reaction, state.velocity,
         state.last_velocity, energy,
     )  # fmt: skip

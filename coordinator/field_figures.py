@@ -102,7 +102,7 @@ def _scene_picture(
     flat = points.position[:, :2] / unit
     seen = _inside(flat, window)
     shared = points.weight < 1.0
-    spacing = scene.continuum.cell_size / scene.continuum.points_per_cell / unit
+    spacing = _spacing(scene, points) / unit
     size = ((0.42 if close else 1.3) * spacing * scale) ** 2  # apart from each other, or as an area
     for part, colour, label in ((~shared, POINT, "material point"), (shared, SHARED, "material point, shared")):
         chosen = seen & part
@@ -110,7 +110,7 @@ def _scene_picture(
             axes.scatter(
                 flat[chosen, 0],
                 flat[chosen, 1],
-                s=size,
+                s=size[chosen],
                 marker="s",
                 color=colour,
                 linewidths=0,
@@ -219,10 +219,10 @@ def _stress_picture(
     unit, name = units.length
     figure, axes, side, scale = map_axes(*window, bar=True, unit=name)
     flat = data.position[:, :2] / unit
-    spacing = scene.continuum.cell_size / scene.continuum.points_per_cell / unit
+    spacing = _spacing(scene, data) / unit
     seen = _inside(flat, window, margin=spacing)
     drawn = axes.scatter(
-        flat[seen, 0], flat[seen, 1], c=data.stress[seen, 1] / units.stress[0], s=(1.04 * spacing * scale) ** 2,
+        flat[seen, 0], flat[seen, 1], c=data.stress[seen, 1] / units.stress[0], s=(1.04 * spacing[seen] * scale) ** 2,
         marker="s", linewidths=0, vmin=limit[0], vmax=limit[1], cmap=limit[2],
     )  # fmt: skip
     if atoms is not None:
@@ -362,7 +362,17 @@ def _body_window(scene: Scene) -> Window:
     return x, y
 
 
-def _inside(flat: FloatArray, window: Window, margin: float = 0.0) -> Any:
+def _spacing(scene: Scene, points: PointsFrame) -> FloatArray:
+    """Return the distance of each point from its neighbours at the start, m, shape (points,)."""
+    place = (points.position - points.displacement)[:, :2]
+    level = np.zeros(len(place))
+    for finer in scene.continuum.refinement:
+        level += np.all((place > np.array(finer.lower)) & (place < np.array(finer.upper)), axis=1)
+    spacing: FloatArray = scene.continuum.cell_size / scene.continuum.points_per_cell / 2.0**level
+    return spacing
+
+
+def _inside(flat: FloatArray, window: Window, margin: float | FloatArray = 0.0) -> Any:
     (x0, x1), (y0, y1) = window
     x, y = flat.T
     return (x > x0 - margin) & (x < x1 + margin) & (y > y0 - margin) & (y < y1 + margin)

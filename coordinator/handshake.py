@@ -20,7 +20,7 @@ the atoms with the anchors frozen, which also kicks the continuum, then motion o
 conserves a modified energy, so nothing grows, provided that the mean force is that which moved the atoms: velocity
 Verlet counts the ends of the window by half. (Counted in full they act as dampers of the wrong sign.) As with all
 impulses there may be a resonance with the atoms' fastest vibration Omega_a, where Dt Omega_a + 2 asin(N) > 2 pi;
-dampers remove it.
+strong dampers remove it.
 
 Where the continuum makes n steps in one exchange, the force acts as an impulse in the first: v + Dt F / m, then u
 drifts, which is the same map. Spread evenly over the steps it reaches the place half a step late: the determinant of

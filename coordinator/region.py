@@ -141,6 +141,7 @@ class Region:
             scheme=table.scheme,
             courant=courant,
             stiff=table.preset == "seed",
+            stiffness_share=table.stiffness_weight,
         )
         share = ring.share(self.own_reference[self.interface.anchor, :2])
         self.anchor_stiffness = (1.0 - table.alpha) * volume * self.handshake.stiffness_at(share)
@@ -186,6 +187,7 @@ class Region:
             weight=self.handshake.weight,
             profile=self.handshake.profile.kind,
             exponent=self.handshake.exponent,
+            stiffness=self.handshake.stiffness_share,
         )
 
     def cells(self) -> tuple[FloatArray, FloatArray]:

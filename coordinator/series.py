@@ -42,7 +42,7 @@ SERIES: dict[str, Series] = {
     "force_balance": Series("1", "imbalance between cell forces and anchor forces, relative"),
     "ivc_force_rms": Series("N", "force on an interface volume cell, root mean square"),
     "ivc_error_rms": Series("N", "standard error of that force, root mean square"),
-    "continuum_filter_loss": Series("J", "kinetic energy taken by the way from points to grid and back"),
+    "continuum_filter_loss": Series("J", "energy taken by the way from points to grid and back"),
     "continuum_momentum_x": Series("kg m/s", "momentum of the continuum, x"),
     "continuum_momentum_y": Series("kg m/s", "momentum of the continuum, y"),
     "atomistic_momentum_x": Series("kg m/s", "momentum of the atoms, x"),

@@ -17,7 +17,7 @@ from md_service.force_fields import ForceField
 from md_service.lammps_library import LammpsSession
 from md_service.ranks import OneRank, Ranks
 
-_MOST_CUTS = 12  # of two groups each; LAMMPS has 32, of which anchors take five
+_MOST_CUTS = 8  # of two groups each; LAMMPS has 32, of which anchors take five and one a damper
 _LARGEST_STEP = 0.2e-10  # m moved in one step: a carbon atom of 100 eV at 0.5 fs
 _KNOBS = "try a smaller time step, softer anchors, or a force field without an abrupt cut-off"
 

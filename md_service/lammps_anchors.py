@@ -62,6 +62,7 @@ class LammpsAnchors:
             )
         self._damper_of_atom = np.full(system.n_atoms, -1, dtype=np.int64)
         self._damper_of_atom[anchors.atom_id] = which
+        self._start = 0  # LAMMPS step at which moving anchors began their way
         self.has_passive = bool(anchors.passive.any())
         self.has_springs = not anchors.passive.all()
         self._periodic = system.atoms.box.periodic
@@ -103,8 +104,20 @@ class LammpsAnchors:
         self.write()
         self._command(self._force_commands())
 
-    def write(self) -> None:
-        """Hand the anchors' positions and velocities to LAMMPS and put passive atoms to their places."""
+    def write(self, forces_known: bool = False) -> bool:
+        """Hand the anchors' positions and velocities to LAMMPS and put passive atoms to their places.
+
+        Parameters
+        ----------
+        forces_known : bool
+            Whether LAMMPS goes on from the forces that it has, of the last step's end. Those of the springs are then
+            brought to the new anchors here, since the first half kick is made with them.
+
+        Returns
+        -------
+        bool
+            Whether passive atoms moved, so that the forces are those of other places.
+        """
         system, anchors = self._system, self._anchors
         row = self.row_of_atom[system.local_rows()]
         local = np.flatnonzero(row >= 0)
@@ -114,19 +127,28 @@ class LammpsAnchors:
         extract = system.session.lmp.numpy.extract_atom
         extract("d_anchor_k")[local] = stiffness
         constant = (anchors.damping[row, None] * anchors.velocity[row] + anchors.force[row]) / units.force
-        extract("d2_anchor_c")[local] = stiffness[:, None] * (anchors.position[row] / units.length) + constant
+        carrying = extract("d2_anchor_c")
+        before = carrying[local].copy()
+        carrying[local] = stiffness[:, None] * (anchors.position[row] / units.length) + constant
+        after = carrying[local]
         if anchors.moving:
-            way = anchors.velocity[row] * (system.time_step / units.length)
-            extract("d2_anchor_w")[local] = stiffness[:, None] * way
-            start = int(system.session.lmp.extract_global("ntimestep"))
-            system.session.lmp.set_internal_variable("anchor_start", float(start))
-        if self.has_passive:
-            passive = anchors.passive[row]
-            local, row = local[passive], row[passive]
-            here = system.local_position()[local]
-            system.local("x")[local] += anchors.position[row] / units.length - here
-            speed = anchors.velocity[row] if anchors.moving else np.zeros((len(row), 3))
-            system.local("v")[local] = speed / units.velocity
+            now = int(system.session.lmp.extract_global("ntimestep"))
+            moved = extract("d2_anchor_w")
+            before += moved[local] * (now - self._start)
+            moved[local] = stiffness[:, None] * (anchors.velocity[row] * (system.time_step / units.length))
+            self._start = now
+            system.session.lmp.set_internal_variable("anchor_start", float(now))
+        passive = anchors.passive[row]
+        if forces_known:
+            system.local("f")[local[~passive]] += (after - before)[~passive]
+        if not self.has_passive:
+            return False
+        local, row = local[passive], row[passive]
+        way = anchors.position[row] / units.length - system.local_position()[local]
+        system.local("x")[local] += way
+        speed = anchors.velocity[row] if anchors.moving else np.zeros((len(row), 3))
+        system.local("v")[local] = speed / units.velocity
+        return bool(system.ranks.sum(np.array([float(way.any())]))[0])
 
     def _force_commands(self) -> list[str]:
         terms = []

@@ -286,8 +286,8 @@ class ContinuumAdvanced(Message):
     )
     filter_loss: Finite | None = Field(
         default=None,
-        description="[J] kinetic energy that the way from points to grid and back took since the start; absent: not"
-        " known",
+        description="[J] energy that the way from points to grid and back took since the start; negative: gave; absent:"
+        " not known",
         json_schema_extra=since(1, 3),
     )
     momentum: Point2 | None = Field(

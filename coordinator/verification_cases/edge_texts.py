@@ -12,7 +12,7 @@ PICOSECOND = 1e-12
 _ROWS = 25
 
 
-def edge_text(edge: str, component: str, way: float, rise: float) -> str:
+def edge_text(edge: str, component: str, way: float, rise: float = 0.0) -> str:
     """Return a table `[[continuum.edges]]`.
 
     Parameters
@@ -22,11 +22,11 @@ def edge_text(edge: str, component: str, way: float, rise: float) -> str:
     way : float
         Displacement of the edge at last, m.
     rise : float
-        Time in which it is reached, without acceleration at either end, s.
+        Time in which it is reached, without acceleration at either end, s; 0 where it is there from the start.
     """
-    s = np.linspace(0.0, 1.0, _ROWS)
-    values = way * s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
-    rows = ", ".join(f'"{time / PICOSECOND:.6g} ps"' for time in s * rise)
+    s = np.linspace(0.0, 1.0, _ROWS if rise else 2)
+    values = way * s**3 * (10.0 - 15.0 * s + 6.0 * s**2) if rise else np.full_like(s, way)
+    rows = ", ".join(f'"{time / PICOSECOND:.6g} ps"' for time in s * (rise or PICOSECOND))
     ways = ", ".join(f'"{value / ANGSTROM:.9g} angstrom"' for value in values)
     return (
         f'\n[[continuum.edges]]\nedge = "{edge}"\ncomponent = "{component}"\n'
@@ -34,7 +34,7 @@ def edge_text(edge: str, component: str, way: float, rise: float) -> str:
     )
 
 
-def gradient_text(gradient: FloatArray, half: float, rise: float) -> str:
+def gradient_text(gradient: FloatArray, half: float, rise: float = 0.0) -> str:
     """Return edges that bring a square body to a uniform displacement gradient, exactly in linear elasticity.
 
     An edge moves along one of its components only, the other is free. With a stretch it is the normal one; without,

@@ -1,8 +1,9 @@
 """Case `coupling/patch`: a uniform strain goes through the handshake, along x, along y and as shear.
 
-The edges of the body move smoothly as a uniform strain asks, then hold until the waves have died down. What differs
-from that strain comes from the handshake. The strain of the atoms is fitted to their displacements, that of the continuum
-follows from its stress: displacements of material points keep ripples of waves that passed.
+The edges of the body are held as a uniform strain asks, and the run begins with that strain in continuum and atoms alike.
+Both then move, damped, to the equilibrium that the handshake gives them; what it differs by from the strain applied is
+the handshake's own. The strain of the atoms is fitted to their displacements, that of the continuum follows from its stress:
+displacements of material points keep ripples of waves that passed.
 """
 
 from __future__ import annotations
@@ -46,15 +47,12 @@ class Body:
         Half the side of the body, m.
     bin_size : float
         Bins over which the strain of atoms is fitted, each with its eight neighbours, m.
-    rise : float
-        Time in which the edges move, s.
     """
 
     scene: str
     strain: float
     half: float
     bin_size: float
-    rise: float
 
 
 @dataclass(frozen=True)
@@ -72,7 +70,7 @@ class StrainErrors:
     point, continuum : float64 array, shape (m, 2) and (m, 3)
         Material points outside the handshake, m, and their strain.
     beyond : bool array, shape (m,)
-        Which of them lie more than a cell from it: nodes of cells that the handshake reaches carry both.
+        Which of them lie more than a cell from it and from the edges of the body: nodes there carry less than whole cells.
     """
 
     mean: FloatArray
@@ -100,8 +98,8 @@ class StrainErrors:
 
     @property
     def scatter_outside(self) -> float:
-        """Root mean square of the error of the material points outside the handshake."""
-        return float(np.sqrt(np.mean(self.continuum**2)))
+        """Root mean square of the error of the same material points."""
+        return float(np.sqrt(np.mean(self.continuum[self.beyond] ** 2)))
 
 
 def strain_errors(results: Results, folder: Path, strain: FloatArray, bin_size: float) -> StrainErrors:
@@ -130,8 +128,10 @@ def strain_errors(results: Results, folder: Path, strain: FloatArray, bin_size: 
     frame = results.points.frame(len(results.points) - 1)
     start = frame.position[:, :2] - frame.displacement[:, :2]
     outside = np.any((start < outer_low) | (start > outer_high), axis=1)
-    cell = float(results.scene["resolved"]["continuum"]["cell_size"])
-    beyond = np.any((start < outer_low - cell) | (start > outer_high + cell), axis=1)[outside]
+    body = results.scene["resolved"]["continuum"]
+    cell = float(body["cell_size"])
+    clear = np.all((start > np.array(body["lower"]) + cell) & (start < np.array(body["upper"]) - cell), axis=1)
+    beyond = np.any((start < outer_low - cell) | (start > outer_high + cell), axis=1) & clear
     return StrainErrors(
         (mean - strain) / scale,
         fitted.centre,
@@ -139,7 +139,7 @@ def strain_errors(results: Results, folder: Path, strain: FloatArray, bin_size: 
         np.all((fitted.centre > low) & (fitted.centre < high), axis=1),
         start[outside],
         (_elastic_strain(frame.stress[outside], folder) - strain) / scale,
-        beyond,
+        beyond[outside],
     )
 
 
@@ -170,7 +170,7 @@ def _elastic_strain(stress: FloatArray, folder: Path) -> FloatArray:
 def run_state(body: Body, state: str, folder: Path, overrides: Sequence[str] = ()) -> StrainErrors:
     """Run one state of strain and return its errors."""
     gradient = body.strain * STATES[state]
-    text = shipped(body.scene) + gradient_text(gradient, body.half, body.rise)
+    text = shipped(body.scene) + gradient_text(gradient, body.half)
     with run_text(text, folder, overrides) as results:
         return strain_errors(results, folder / "run", _symmetric(gradient[None])[0], body.bin_size)
 
@@ -210,7 +210,7 @@ def _case(body: Body, folder: Path) -> list[Check]:
     return _checks(errors)
 
 
-LATTICE = Body("patch_lattice", strain=1e-3, half=120e-10, bin_size=4e-10, rise=1.5e-12)
+LATTICE = Body("patch_lattice", strain=1e-3, half=120e-10, bin_size=4e-10)
 
 
 def lattice(folder: Path) -> list[Check]:

@@ -8,12 +8,12 @@ lattice so large that nothing comes back from its border; the difference is what
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix
+from scipy.spatial import cKDTree
 
 from coordinator.coupling import Coupling
 from coordinator.figures import BLUE, INK, ORANGE, RED, STYLE
@@ -32,6 +32,15 @@ _START = 0.01e-10
 LIMIT = 0.10
 #: Waves run at most so fast, m/s; the large lattice is so wide that they do not come back from its border.
 _FASTEST = 24e3
+#: Of the large lattice, s; a seventeenth of the period of its fastest vibration.
+_TIME_STEP = 2e-15
+#: Of the atoms in the handshake against their anchors: about the time of a wave through it.
+_DAMPER = "handshake.damping_time=0.1 ps"
+SCHEMES = {
+    "default, damper of 0.1 ps": ((_DAMPER,), BLUE),
+    "default, no damper": ((), ORANGE),
+    "seed, damper of 0.1 ps": ((_DAMPER, "handshake.preset=seed"), RED),
+}
 
 
 @dataclass(frozen=True)
@@ -96,37 +105,33 @@ def coupled(scene: Scene, folder: Path, every: int = 2) -> tuple[Decay, FloatArr
     return Decay(np.array(time), np.array(energy) / energy[0]), place[inside]
 
 
-def unbounded(inside: FloatArray, times: FloatArray, time_step: float) -> Decay:
-    """Return the decay among the same atoms, places (atoms, 2) in m, in a lattice without an end."""
-    middle = inside.mean(axis=0)
-    reach = float(np.ptp(inside, axis=0).max()) / 2 + 0.55 * _FASTEST * float(times[-1])
-    rows, columns = int(reach / (SPACING * np.sqrt(0.75))), int(reach / SPACING)
+def unbounded(inside: FloatArray, times: FloatArray) -> Decay:
+    """Return the decay among the same atoms, places (atoms, 2) in m, at the same times in a lattice without an end."""
+    # To the border and back in the time of the run, from the edge of the inner atoms.
+    reach = 0.5 * float(np.ptp(inside, axis=0).max()) + 0.5 * _FASTEST * float(times[-1])
+    rows, columns = int(reach / (SPACING * np.sqrt(0.75))) + 1, int(reach / SPACING) + 1
     j, i = np.meshgrid(np.arange(-rows, rows + 1), np.arange(-columns, columns + 1), indexing="ij")
     place = np.column_stack([(i + 0.5 * (j % 2)).ravel() * SPACING, j.ravel() * SPACING * np.sqrt(0.75)])
-    # The same lattice: one of its atoms onto one of those inside, which lies in an even row of both.
-    corner = inside[np.argmin(np.linalg.norm(inside - middle, axis=1))]
+    corner = inside[np.argmin(np.linalg.norm(inside - inside.mean(axis=0), axis=1))]
     place += corner - place[np.argmin(np.linalg.norm(place, axis=1))]
-    far = np.linalg.norm(place[:, None, 0] - inside[None, :1, 0], axis=1)
-    del far
-    from scipy.spatial import cKDTree
-
     distance, mine = cKDTree(place).query(inside)
-    assert distance.max() < 1e-3 * SPACING
+    if distance.max() > 1e-3 * SPACING:
+        raise ValueError("the atoms inside the ring are not those of one lattice")
     whole, part = Lattice.of(place, SPACING), Lattice.of(inside, SPACING)
     stiffness = _stiffness(whole)
     moved = np.zeros((len(place), 2))
     moved[mine] = _pair(inside)
     velocity = np.zeros_like(moved)
-    steps = np.round(times / time_step).astype(int)
-    energy = []
-    force = -(stiffness @ moved.ravel()).reshape(-1, 2)
-    for step in range(steps[-1] + 1):
-        if step in steps:
+    wanted = np.round(times / _TIME_STEP).astype(int)
+    energy = [_energy(part, moved[mine], velocity[mine])]
+    kick = -_TIME_STEP / MASS * (stiffness @ moved.ravel()).reshape(-1, 2)
+    for step in range(1, wanted[-1] + 1):
+        velocity += 0.5 * kick
+        moved += _TIME_STEP * velocity
+        kick = -_TIME_STEP / MASS * (stiffness @ moved.ravel()).reshape(-1, 2)
+        velocity += 0.5 * kick
+        if step in wanted:
             energy.append(_energy(part, moved[mine], velocity[mine]))
-        velocity += 0.5 * time_step / MASS * force
-        moved += time_step * velocity
-        force = -(stiffness @ moved.ravel()).reshape(-1, 2)
-        velocity += 0.5 * time_step / MASS * force
     return Decay(times, np.array(energy) / energy[0])
 
 
@@ -144,3 +149,50 @@ def _stiffness(lattice: Lattice) -> csr_matrix:
                 values.append(sign * block)
     size = 2 * len(lattice.place)
     return coo_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), (size, size)).tocsr()
+
+
+def phonon(folder: Path) -> list[Check]:
+    """Share of the energy of a broken bond that comes back into the inner region."""
+    text = shipped("phonon_lattice")
+    found: dict[str, Decay] = {}
+    for number, (label, (overrides, _)) in enumerate(SCHEMES.items()):
+        found[label], inside = coupled(read_scene(text, "phonon", overrides), folder / f"run{number}")
+    first, *others = found
+    whole = unbounded(inside, found[first].time)
+    draw(folder / "phonon.png", whole, found)
+    back = {label: float(np.max(decay.energy - whole.energy)) for label, decay in found.items()}
+    told = ", ".join(f"{label}: {100 * back[label]:.1f} %" for label in others)
+    source = "the same atoms in a lattice without an end"
+    span = f"within {1e12 * float(whole.time[-1]):g} ps"
+    return [
+        Check(f"energy of a broken bond back inside {span}, {first} ({told})", back[first], LIMIT, 0.0, source,
+              at_most=True),
+        Check(f"energy that does not leave the inner atoms {span} in a lattice without an end",
+              float(whole.energy[-1]), LIMIT, 0.0, "else there is little that could come back", at_most=True),
+    ]  # fmt: skip
+
+
+def draw(path: Path, whole: Decay, found: dict[str, Decay]) -> None:
+    """Draw the energy of the inner atoms over time, and what has come back."""
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(9.6, 4.0), layout="constrained")
+        left, right = figure.subplots(1, 2)
+        left.plot(whole.time * 1e12, whole.energy, color=INK, label="lattice without an end")
+        for label, decay in found.items():
+            colour = SCHEMES[label][1]
+            left.plot(decay.time * 1e12, decay.energy, color=colour, label=label)
+            right.plot(decay.time * 1e12, decay.energy - whole.energy, color=colour, label=label)
+        right.axhline(LIMIT, color=INK, linestyle="--", label="largest allowed")
+        left.set(xlabel="time / ps", ylabel="energy of the inner atoms / start", ylim=(0.0, 1.05))
+        right.set(xlabel="time / ps", ylabel="energy come back / start")
+        left.set_title("A bond lets go in the middle")
+        right.set_title("More than without an end")
+        left.legend()
+        right.legend()
+        figure.savefig(path)
+
+
+CASES = [Case("coupling", "phonon", "short waves of a broken bond leave the atoms through the handshake", phonon)]

@@ -17,7 +17,14 @@ import numpy as np
 
 from coordinator.exchange_model import Model, advance, shaken
 from coordinator.figures import BLUE, INK, ORANGE, RED, STYLE
-from coordinator.handshake import STABILITY_LIMIT, HandshakeError, choose, exchange_number
+from coordinator.handshake import (
+    LARGEST_STIFFNESS,
+    SMALL_STIFFNESS,
+    STABILITY_LIMIT,
+    HandshakeError,
+    choose,
+    exchange_number,
+)
 from coordinator.overlap_theory import exact_stiffness
 from coordinator.results import Results
 from coordinator.verification_cases import chain
@@ -35,6 +42,8 @@ ATOMS, CELLS = 12, 3
 STEPS_PER_EXCHANGE = (1, 2, 4, 7, 10, 14, 20, 30, 40, 60)
 WEIGHTS = (0.05, 0.08, 0.12, 0.17, 0.25, 0.35, 0.5, 0.7, 1.0)
 EXPONENTS = (1.0, 2.0, 4.0, 6.0, 8.0, 12.0)
+#: Springs of a continuum that keeps a hundredth of its stiffness, by the square of their exchange number.
+SPRINGS = (0.1, 0.2, 0.36, 0.5, 0.65, 0.8, 1.1, 1.3)
 #: No damper, and those of 0.2 and 0.05 ps.
 DAMPING_TIMES = (None, 0.2e-12, 0.05e-12)
 #: Energy at the end over that at the start, means of a tenth of the run each, above which it has grown.
@@ -50,7 +59,7 @@ class Point:
     number : float
         Exchange number by theory.
     resonant : bool
-        Whether, without damper, vibrations of the atoms may meet one of the light continuum; see `may_resonate`.
+        Whether vibrations of the atoms may meet one of the light continuum; see `may_resonate`.
     growth : float
         Energy at the end over that at the start; infinite where the run blew up.
     """
@@ -77,40 +86,59 @@ def may_resonate(number: float, coupling_step: float) -> bool:
     return 2.0 * ATOMS * coupling_step + 2.0 * math.asin(min(number, 1.0)) > 2.0 * math.pi
 
 
-def point(profile: WeightProfile, steps_per_exchange: int, damping_time: float | None, steps: int = STEPS) -> Point:
-    """Return a point of the map: statically exact springs, the serial exchange.
+def point(
+    profile: WeightProfile, stiffness: float, steps_per_exchange: int, damping_time: float | None, steps: int
+) -> Point:
+    """Return a point of the map for springs of kappa L^2 / E = `stiffness`, the serial exchange.
 
     The continuum makes as many steps in an exchange as keep its Courant number below a half.
     """
     step = steps_per_exchange * UNIT_STEP
     damping = 0.0 if damping_time is None else WIDTH / (SPEED * damping_time)
-    stiffness = exact_stiffness(profile)
     model = Model(
         profile, stiffness, step, steps_per_exchange, damping, cells=CELLS, atoms=ATOMS, continuum_length=1.0,
         atoms_length=0.5, continuum_steps=math.ceil(step * CELLS / 0.5),
     )  # fmt: skip
     number = exchange_number(stiffness, profile, 1.0, step, 1.0 / damping if damping else None)
-    return Point(number, damping_time is None and may_resonate(number, step), growth(model, steps))
+    return Point(number, may_resonate(number, step), growth(model, steps))
 
 
-def stability_map(profiles: list[WeightProfile], damping_time: float | None, steps: int) -> list[list[Point]]:
-    """Return the points of all profiles (rows) and all M (columns)."""
-    return [[point(profile, m, damping_time, steps) for m in STEPS_PER_EXCHANGE] for profile in profiles]
+def stability_maps(steps: int) -> list[list[list[Point]]]:
+    """Return the points of all panels: constant weights, exponents, springs; each without and with dampers."""
+    constant = [WeightProfile("constant", weight) for weight in WEIGHTS]
+    power = [WeightProfile("power", 0.05, exponent) for exponent in EXPONENTS]
+    massive = WeightProfile("power", 0.05, 8.0, SMALL_STIFFNESS)
+    found = []
+    for profiles in (constant, power):
+        for time in DAMPING_TIMES:
+            rows = [[point(one, exact_stiffness(one), m, time, steps) for m in STEPS_PER_EXCHANGE] for one in profiles]
+            found.append(rows)
+    for time in DAMPING_TIMES:
+        rows = []
+        for square in SPRINGS:
+            bare = [4.0 * square / (m * UNIT_STEP) ** 2 for m in STEPS_PER_EXCHANGE]
+            springs = [min(kappa, LARGEST_STIFFNESS) for kappa in bare]
+            rows.append(
+                [point(massive, kappa, m, time, steps) for kappa, m in zip(springs, STEPS_PER_EXCHANGE, strict=True)]
+            )
+        found.append(rows)
+    return found
 
 
 def stability(folder: Path, steps: int = STEPS) -> list[Check]:
     """Map of the exchange in one dimension, points of it in whole scenes, and the hard cases."""
-    constant = [WeightProfile("constant", weight) for weight in WEIGHTS]
-    power = [WeightProfile("power", 0.05, exponent) for exponent in EXPONENTS]
-    maps = [stability_map(profiles, time, steps) for profiles in (constant, power) for time in DAMPING_TIMES]
+    maps = stability_maps(steps)
     draw(folder / "stability.png", maps, steps)
     points = [one for each in maps for row in each for one in row]
     inside = [one.growth for one in points if one.number < STABILITY_LIMIT["serial"] and not one.resonant]
+    met = [one.growth for one in points if one.number < STABILITY_LIMIT["serial"] and one.resonant]
     beyond = [one.growth for one in points if one.number > 1.2]
     source = "limit of theory: (Dt omega / 2)^2 + Dt / (2 W tau) < 1, no resonance; up to 0.9 of it runs are allowed"
     return [
         Check(f"energy after {steps} coupling steps over that before, largest of {len(inside)} points inside the limit",
               max(inside), GROWN, 0.0, source, at_most=True),
+        Check(f"points inside the limit that grew by a resonance with the atoms, of {len(met)} where one is possible",
+              float(sum(one > GROWN for one in met)), float(len(met)), 0.0, source, at_most=True),
         Check(f"points beyond 1.2 times the limit that did not blow up, of {len(beyond)}",
               float(sum(one < math.inf for one in beyond)), 0.0, 0.0, source),
         *_whole_scenes(folder),
@@ -119,16 +147,16 @@ def stability(folder: Path, steps: int = STEPS) -> list[Check]:
 
 
 def draw(path: Path, maps: list[list[list[Point]]], steps: int) -> None:
-    """Draw stable and unstable points with the limit of theory, constant weights above, powers below."""
+    """Draw stable and unstable points with the limit of theory: constant weights, powers, springs by their number."""
     import matplotlib
     from matplotlib.figure import Figure
 
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(9.6, 6.0), layout="constrained")
-        axes = figure.subplots(2, 3, sharex=True, sharey="row")
+        figure = Figure(figsize=(9.6, 8.6), layout="constrained")
+        axes = figure.subplots(3, 3, sharex=True, sharey="row")
         for number, each in enumerate(maps):
             panel = axes[number // 3, number % 3]
-            rows = WEIGHTS if number < 3 else EXPONENTS
+            rows = (WEIGHTS, EXPONENTS, SPRINGS)[number // 3]
             m, value = np.meshgrid(STEPS_PER_EXCHANGE, rows)
             grown = np.array([[one.growth for one in row] for row in each])
             theory = np.array([[one.number for one in row] for row in each])
@@ -139,19 +167,19 @@ def draw(path: Path, maps: list[list[list[Point]]], steps: int) -> None:
             ):
                 panel.plot(m[chosen], value[chosen], mark, color=colour, label=label, markersize=4.5, linestyle="none")
             panel.contour(m, value, theory, [0.9, 1.0], colors=INK, linestyles=["--", "-"], linewidths=1.2)
-            if number % 3 == 0:
-                turn = [[float(one.resonant) for one in row] for row in each]
-                panel.contour(m, value, turn, [0.5], colors=ORANGE, linestyles=":", linewidths=1.2)
+            turn = [[float(one.resonant) for one in row] for row in each]
+            panel.contour(m, value, turn, [0.5], colors=ORANGE, linestyles=":", linewidths=1.2)
             time = DAMPING_TIMES[number % 3]
             panel.set_title("no damper" if time is None else f"damping time {time * 1e12:g} ps")
             panel.set(xscale="log", yscale="log", xlim=(0.85, 72.0), ylim=(rows[0] / 1.2, rows[-1] * 1.2))
             panel.set_yticks(rows, [f"{row:g}" for row in rows])
             panel.minorticks_off()
-            if number >= 3:
+            if number >= 6:
                 panel.set_xticks(STEPS_PER_EXCHANGE, [str(m) for m in STEPS_PER_EXCHANGE])
                 panel.set_xlabel("M (steps of 0.5 fs in an exchange)")
         axes[0, 0].set_ylabel("weight, constant")
         axes[1, 0].set_ylabel("exponent of the power from 0.05")
+        axes[2, 0].set_ylabel("S of the springs, stiffness 0.01")
         axes[0, 0].legend(loc="lower right", frameon=True)
         figure.suptitle(
             f"{steps:,} coupling steps each. Exchange number by theory: 1 full, 0.9 dashed; right of dots a resonance"

@@ -48,7 +48,7 @@ class Answers:
     time : float64 array, shape (rows,)
         s.
     displacement : float64 array, shape (frames, atoms, 3)
-        From where the atoms were built, m.
+        From where the atoms were at rest before the load, m.
     force : float64 array, shape (rows, ivcs, 3)
         Of the atoms on the continuum in each cell, N.
     """
@@ -63,7 +63,7 @@ class Answers:
         atoms = results.atoms
         assert atoms is not None
         order = np.lexsort(np.round(atoms.reference / (0.1 * ANGSTROM)).T)
-        moved = np.array([atoms.position(frame) - atoms.reference for frame in range(len(atoms))])
+        moved = np.array([atoms.position(frame) - atoms.position(0) for frame in range(1, len(atoms))])
         return cls(results.series["time"], moved[:, order], results.interface["force"].astype(np.float64))
 
     def difference(self, other: Answers) -> tuple[float, float]:

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from coordinator.figures import BLUE, GREEN, INK, ORANGE, RED, STYLE
-from coordinator.handshake import exchange_number
+from coordinator.figures import BLUE, GREEN, INK, ORANGE, PURPLE, RED, STYLE
+from coordinator.handshake import LARGEST_STIFFNESS, SMALL_STIFFNESS, SPRING_NUMBER, exchange_number
 from coordinator.overlap_theory import exact_stiffness, scatter, static_error
 from coordinator.results import Results
 from coordinator.verification_cases import chain
@@ -46,7 +46,22 @@ class Scheme:
             f"weight = {self.profile.weight!r}",
             f'stiffness = "{chain.springs(self.profile, self.stiffness):.12e} N/m"',
         ]
+        if self.profile.stiffness is not None:
+            lines.append(f"stiffness_weight = {self.profile.stiffness!r}")
         return "\n".join(lines)
+
+    @property
+    def cells(self) -> int | None:
+        """Cells of the grid in the overlap, where they matter: stiffness as mass has a limit of fine ones."""
+        return None if self.profile.stiffness is None else chain.ATOMS // chain.ATOMS_OF_CELL
+
+    def static_error(self, stiffness: float | None = None) -> float:
+        """Return the static error by theory, or with other springs."""
+        return static_error(self.profile, self.stiffness if stiffness is None else stiffness, self.cells)
+
+    def reflection(self, wavelength: float) -> float:
+        """Return the reflected amplitude by theory at a wavelength in widths of the overlap."""
+        return scatter(self.profile, self.stiffness, wavelength, cells=self.cells).reflected
 
 
 def _exact(label: str, profile: WeightProfile, colour: str) -> Scheme:
@@ -55,22 +70,24 @@ def _exact(label: str, profile: WeightProfile, colour: str) -> Scheme:
 
 FULL, HALF = WeightProfile("constant", 1.0), WeightProfile("constant", 0.5)
 LINEAR, POWER = WeightProfile("linear", 0.05), WeightProfile("power", 0.05, 8.0)
+MASSIVE = WeightProfile("power", 0.05, 8.0, SMALL_STIFFNESS)
 WAVES = (
     Scheme(f"weight 1, stiff (κL²/E = {STIFF:g})", FULL, STIFF, INK),
     _exact("weight 1", FULL, RED),
     _exact("weight 0.5", HALF, ORANGE),
     _exact("linear from 0.05", LINEAR, GREEN),
     _exact("power 8 from 0.05", POWER, BLUE),
+    Scheme("power 8, stiffness 0.01", MASSIVE, 250.0, PURPLE),
 )
 STATICS = (
     Scheme("weight 1", FULL, 1.5, RED),
     _exact("weight 1", FULL, RED),
     Scheme("weight 1", FULL, STIFF, RED),
     Scheme("weight 0.5", HALF, 3.0, ORANGE),
-    _exact("weight 0.5", HALF, ORANGE),
     Scheme("weight 0.5", HALF, 40.0, ORANGE),
     Scheme("power 8 from 0.05", POWER, 20.0, BLUE),
     _exact("power 8 from 0.05", POWER, BLUE),
+    Scheme("power 8, stiffness 0.01", MASSIVE, 250.0, PURPLE),
 )
 
 
@@ -104,15 +121,21 @@ def elongation(scheme: Scheme, folder: Path) -> float:
 
 def reflection(scheme: Scheme, folder: Path, wavelengths: FloatArray) -> FloatArray:
     """Return reflected amplitudes in a whole scene at wavelengths in widths of the overlap, shape (wavelengths,)."""
-    bar = chain.Bar(left=10.0, right=0.0, chain=7.0)
+    bar = chain.Bar(left=12.0, right=0.0, chain=7.0)
     bell, duration = chain.pulse("left", 1.5, 1e-13)
-    # Its middle passes the place of the measurement twice, at 5 and at 15 widths. Five more and nothing is left of it,
-    # nor has anything come back from the ends.
-    steps = round((0.5 * duration + 20.0 * chain.WIDTH / chain.SPEED) / bar.coupling_step)
-    with run_text(bar.text(steps, 4, scheme.handshake, bell), folder) as results:
+    transit = chain.WIDTH / chain.SPEED
+    # Its middle passes the place of the measurement after 7 and, going back, after 17 transits more. Until 8 later
+    # nothing else comes back, from the end of the chain or from that of the bar.
+    onwards_at, back_at = 0.5 * duration + 7.0 * transit, 0.5 * duration + 17.0 * transit
+    end = back_at + 8.0 * transit
+    with run_text(bar.text(round(end / bar.coupling_step), 4, scheme.handshake, bell), folder) as results:
         time, onwards, back = waves_at(results, bar.border - 5.0 * chain.WIDTH)
+    between = 0.5 * (onwards_at + back_at)
+    # What rings on in the overlap is faded out, not cut off.
+    fade = np.cos(0.5 * np.pi * np.clip((time - end) / (3.0 * transit) + 1.0, 0.0, 1.0)) ** 2
     kernel = np.exp(-2j * np.pi * chain.SPEED / (wavelengths[:, None] * chain.ring_width(scheme.profile)) * time)
-    return np.asarray(np.abs(kernel @ back) / np.abs(kernel @ onwards))
+    sent, returned = np.where(time < between, onwards, 0.0), np.where(time < between, 0.0, back * fade)
+    return np.asarray(np.abs(kernel @ returned) / np.abs(kernel @ sent))
 
 
 def waves_at(results: Results, place: float) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -136,7 +159,7 @@ def theory_1d(folder: Path) -> list[Check]:
     for number, scheme in enumerate(STATICS):
         lengths.append(elongation(scheme, folder / f"static{number}"))
         quantity = f"static error, {scheme.label}, springs {scheme.stiffness:.3g} E/L^2"
-        away = lengths[-1] - static_error(scheme.profile, scheme.stiffness)
+        away = lengths[-1] - scheme.static_error()
         checks.append(Check(f"{quantity}: {lengths[-1]:+.4f} less theory", away, 0.0, TOLERANCE, source, "L strain"))
     along = np.geomspace(3.0, 60.0, 40)
     curves = []
@@ -144,7 +167,7 @@ def theory_1d(folder: Path) -> list[Check]:
         found = reflection(scheme, folder / f"wave{number}", np.concatenate([WAVELENGTHS, along]))
         curves.append(found[len(WAVELENGTHS) :])
         for wavelength, measured in zip(WAVELENGTHS, found, strict=False):
-            wanted = scatter(scheme.profile, scheme.stiffness, wavelength).reflected
+            wanted = scheme.reflection(wavelength)
             quantity = f"reflection at {wavelength:g} L, {scheme.label}: {measured:.4f} less theory {wanted:.4f}"
             checks.append(Check(quantity, float(measured - wanted), 0.0, TOLERANCE, source, "amplitude"))
     draw(folder / "theory_1d.png", np.array(lengths), along, curves)
@@ -164,7 +187,7 @@ def draw(path: Path, lengths: FloatArray, along: FloatArray, curves: list[FloatA
         drawn: set[str] = set()
         for scheme, measured in zip(STATICS, lengths, strict=True):
             if scheme.label not in drawn:
-                theory = [static_error(scheme.profile, kappa) for kappa in stiffness]
+                theory = [scheme.static_error(kappa) for kappa in stiffness]
                 left.plot(stiffness, theory, color=scheme.colour, label=scheme.label)
             drawn.add(scheme.label)
             left.plot(scheme.stiffness, measured, "o", color=scheme.colour, markersize=5)
@@ -173,7 +196,7 @@ def draw(path: Path, lengths: FloatArray, along: FloatArray, curves: list[FloatA
         left.set_title("Length of the overlap in statics")
         left.legend()
         for scheme, curve in zip(WAVES, curves, strict=True):
-            theory = [scatter(scheme.profile, scheme.stiffness, wavelength).reflected for wavelength in along]
+            theory = [scheme.reflection(wavelength) for wavelength in along]
             right.plot(along, theory, color=scheme.colour, label=scheme.label)
             right.plot(along[::3], curve[::3], "o", color=scheme.colour, markersize=4)
         right.set(xscale="log", yscale="log", xlabel="wavelength / L", ylabel="reflected amplitude", ylim=(5e-3, 1.0))
@@ -184,8 +207,9 @@ def draw(path: Path, lengths: FloatArray, along: FloatArray, curves: list[FloatA
 
 # --- which scheme ----------------------------------------------------------------------------------------------------
 
-#: The example of the table: graphene, a ring of 15 Angstrom, atoms stepped by 0.5 fs.
-_SPEED, _WIDTH, _STEP, _DAMPING_TIME = 20.9e3, 15e-10, 0.5e-15, 0.2e-12
+#: The example of the table: graphene, a ring of 15 Angstrom or 3 cells, atoms stepped by 0.5 fs.
+_SPEED, _WIDTH, _STEP, _DAMPING_TIME, _CELLS = 20.9e3, 15e-10, 0.5e-15, 0.2e-12, 3
+_EXCHANGES = (5, 10, 20, 30)
 
 
 def scheme_table() -> str:
@@ -195,21 +219,28 @@ def scheme_table() -> str:
     rows += [("linear", LINEAR, None, False), ("cubic", WeightProfile("cubic", 0.05), None, False)]
     rows += [(f"power {p:g}", WeightProfile("power", 0.05, p), None, False) for p in (2.0, 4.0, 6.0, 8.0)]
     rows += [("constant 0.5, damper", HALF, None, True), ("power 8, damper", POWER, None, True)]
+    for m in (5, 10, 14):
+        step = m * _STEP * _SPEED / _WIDTH
+        kappa = min(4.0 * SPRING_NUMBER**2 / step**2, LARGEST_STIFFNESS)
+        rows.append((f"power 8, stiffness 0.01, springs for M = {m}", MASSIVE, kappa, False))
     head = ["scheme", "mean weight", "κL²/E", "static error"]
-    head += [f"R at {wavelength:g} L" for wavelength in WAVELENGTHS] + [f"N at M = {m}" for m in (10, 20, 30)]
+    head += [f"R at {wavelength:g} L" for wavelength in WAVELENGTHS] + [f"N at M = {m}" for m in _EXCHANGES]
     lines = ["| " + " | ".join(head) + " |", "| --- |" + " --- |" * (len(head) - 1)]
     damping = _WIDTH / (_SPEED * _DAMPING_TIME)
     for label, profile, given, damped in rows:
         kappa = exact_stiffness(profile) if given is None else given
-        cells = [label, f"{profile.mean:.3f}", f"{kappa:.4g}", f"{static_error(profile, kappa) + 0.0:.3f}"]
+        cells = None if profile.stiffness is None else _CELLS
+        error = round(static_error(profile, kappa, cells), 3) + 0.0  # no minus zero
+        row = [label, f"{profile.mean:.3f}", f"{kappa:.4g}", f"{error:.3f}"]
         for wavelength in WAVELENGTHS:
-            cells.append(f"{100 * scatter(profile, kappa, wavelength, damping if damped else 0.0).reflected:.1f} %")
-        for m in (10, 20, 30):
+            reflected = scatter(profile, kappa, wavelength, damping if damped else 0.0, cells).reflected
+            row.append(f"{100 * reflected:.1f} %")
+        for m in _EXCHANGES:
             # In units of L and c: modulus and density are one.
             step = m * _STEP * _SPEED / _WIDTH
             number = exchange_number(kappa, profile, 1.0, step, 1.0 / damping if damped else None)
-            cells.append(f"{number:.2f}" if number < 0.9 else f"{number:.2f} (unstable)")
-        lines.append("| " + " | ".join(cells) + " |")
+            row.append(f"{number:.2f}" if number < 0.9 else f"{number:.2f}, unstable")
+        lines.append("| " + " | ".join(row) + " |")
     return "\n".join(lines) + "\n"
 
 

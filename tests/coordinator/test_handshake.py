@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from coordinator.handshake import (
     CHOSEN_NUMBER,
     LARGEST_EXPONENT,
+    LARGEST_STIFFNESS,
+    SMALL_STIFFNESS,
     SMALLEST_WEIGHT,
+    SPRING_NUMBER,
     STABILITY_LIMIT,
     HandshakeError,
     Scheme,
@@ -17,7 +22,7 @@ from coordinator.handshake import (
     exact_weight,
     exchange_number,
 )
-from coordinator.overlap_theory import exact_stiffness
+from coordinator.overlap_theory import exact_stiffness, static_error
 from coordinator.weight_profile import Kind, WeightProfile
 
 YOUNG, DENSITY, WIDTH = 1.05e12, 2200.0, 15e-10
@@ -240,3 +245,70 @@ def test_the_parallel_exchange_is_refused_where_the_serial_one_is_stable() -> No
     with pytest.raises(HandshakeError, match=r"handshake.scheme = parallel; serial has 0\.\d"):
         choose(YOUNG, DENSITY, WIDTH, 2e-14, weight=0.5, scheme="parallel")
     assert choose(YOUNG, DENSITY, WIDTH, 2e-14, weight=0.5).scheme == "serial"
+
+
+# --- continuum of small stiffness ------------------------------------------------------------------------------------
+
+SPEED = (YOUNG / DENSITY) ** 0.5
+
+
+def courant(step: float, cells: int = 3) -> float:
+    return SPEED * step * cells / WIDTH
+
+
+@pytest.mark.parametrize("damping_time", [None, 2e-13])
+def test_mass_alone_carries_where_the_springs_slip_little(damping_time: float | None) -> None:
+    step = 10 * 0.5e-15
+    chosen = choose(YOUNG, DENSITY, WIDTH, step, damping_time=damping_time, courant=courant(step))
+    assert chosen.stiffness_share == SMALL_STIFFNESS
+    assert chosen.cells == 3
+    assert chosen.exchange_number == pytest.approx(SPRING_NUMBER)
+    assert 0.0 < chosen.static_error < chosen.mean_weight
+    limits = np.array([0.12, 0.05, 0.03, 0.01])
+    assert (np.array([chosen.reflection(wavelength) for wavelength in (5.0, 10.0, 20.0, 50.0)]) < 0.5 * limits).all()
+
+
+def test_stiffness_goes_with_mass_where_springs_would_slip_much() -> None:
+    step = 30 * 0.5e-15
+    chosen = choose(YOUNG, DENSITY, WIDTH, step, courant=courant(step))
+    assert chosen.stiffness_share is None
+    assert abs(chosen.static_error) < 1e-9
+    asked = choose(YOUNG, DENSITY, WIDTH, step, courant=courant(step), stiffness_share=0.01)
+    assert asked.stiffness_share == 0.01
+    assert asked.static_error > asked.mean_weight
+
+
+def test_the_springs_of_a_short_step_end_at_the_largest_stiffness() -> None:
+    chosen = choose(YOUNG, DENSITY, WIDTH, 1e-15, courant=courant(1e-15))
+    assert chosen.relative_stiffness == pytest.approx(LARGEST_STIFFNESS)
+    assert chosen.exchange_number < SPRING_NUMBER
+
+
+@pytest.mark.parametrize(
+    "given", [{"weight": 0.5}, {"stiffness_density": 1e31}, {"profile": "power"}, {"courant": 0.0}]
+)
+def test_what_the_scene_gives_leaves_stiffness_as_mass(given: dict[str, Any]) -> None:
+    chosen = choose(YOUNG, DENSITY, WIDTH, 2e-15, **{"courant": courant(2e-15), **given})
+    assert chosen.stiffness_share is None
+
+
+def test_springs_that_are_given_are_kept_beside_a_small_stiffness() -> None:
+    given = 100.0 * YOUNG / WIDTH**2
+    chosen = choose(
+        YOUNG, DENSITY, WIDTH, 5e-15, courant=courant(5e-15), stiffness_density=given, profile="power",
+        stiffness_share=0.05,
+    )  # fmt: skip
+    assert chosen.stiffness_density == given
+    assert chosen.profile == WeightProfile("power", SMALLEST_WEIGHT, LARGEST_EXPONENT, 0.05)
+
+
+def test_a_coarser_grid_slips_less_than_theory_of_fine_bars() -> None:
+    profile = WeightProfile("power", 0.05, 8.0, 0.01)
+    errors = [static_error(profile, 300.0, cells) for cells in (2, 4, 8, 16, 50)]
+    assert errors == sorted(errors)
+    assert errors[-1] > 2.0 * errors[0]
+
+
+def test_no_springs_are_exact_for_a_stiffness_of_its_own() -> None:
+    with pytest.raises(ValueError, match="stiffness of its own"):
+        exact_stiffness(WeightProfile("power", 0.05, 8.0, 0.01))

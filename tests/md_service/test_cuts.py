@@ -325,9 +325,9 @@ def test_more_cuts_than_lammps_has_groups_for_are_refused(tmp_path: Path) -> Non
     engine = Engine(
         LAMMPS.make(tmp_path, "tersoff", atoms, temperature=0.0, seed=1, time_step=5e-16), temperature=0.0
     )  # fmt: skip
-    for number in range(12):
-        engine.sever(-FAR, 0.0, (-25 + 4 * number) * A)
-    with pytest.raises(EngineError, match="13 cuts apart"):
+    for number in range(8):
+        engine.sever(-FAR, 0.0, (-25 + 5 * number) * A)
+    with pytest.raises(EngineError, match="9 cuts apart"):
         engine.sever(-FAR, 0.0, 25 * A)
     engine.close()
 

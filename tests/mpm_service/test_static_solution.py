@@ -102,7 +102,7 @@ def test_a_bar_hangs_by_its_weight() -> None:
     stress = [solver.points.stress[np.floor(y) == cell, 1].mean() for cell in range(20)]
     np.testing.assert_allclose(stress, 1e4 * (np.arange(20) + 0.5), atol=1e-3 * 2e5)
     sag = -1e-5 * 0.5 * (20.0**2 - y**2)
-    np.testing.assert_allclose(solver.points.displacement[:, 1], sag, atol=1e-3 * 2e-3)
+    np.testing.assert_allclose(solver.points.displacement[:, 1], sag, atol=2e-3 * 2e-3)
     assert solver.energies().strain > 0.0
 
 
@@ -158,13 +158,19 @@ def test_an_edge_crack_has_the_release_rate_of_the_handbook(cells: int, toleranc
 
 
 def test_statics_and_dynamic_relaxation_end_alike() -> None:
-    static, dynamic = edge_cracked(4), edge_cracked(4, scheme=Scheme(transfer="flip"))
-    assert static.equilibrate(1e-7, 10).converged
-    assert relax(dynamic, 1e-7, 50_000).converged
+    def sheet() -> MaterialPointSolver:
+        loads = [Traction("right", (2e4, 0.0)), BodyForce((5.0, 0.0))]
+        # with USL: velocities that MUSL maps again strain the points by another way, and relaxation ends 2 % off
+        scheme = Scheme(transfer="flip", integration="usl")
+        return plate((5, 3), STEEL, scheme=scheme, edge_conditions=[symmetry("left"), symmetry("bottom")], loads=loads)
+
+    static, dynamic = sheet(), sheet()
+    assert static.equilibrate(1e-9, 10).converged
+    assert relax(dynamic, 1e-7, 2_000).converged
     widest = np.abs(static.points.displacement).max()
-    np.testing.assert_allclose(static.points.displacement, dynamic.points.displacement, atol=1e-4 * widest)
+    np.testing.assert_allclose(static.points.displacement, dynamic.points.displacement, atol=2e-5 * widest)
     largest = np.abs(static.points.stress).max()
-    np.testing.assert_allclose(static.points.stress, dynamic.points.stress, atol=1e-3 * largest)
+    np.testing.assert_allclose(static.points.stress, dynamic.points.stress, atol=1e-4 * largest)
 
 
 def test_a_run_from_equilibrium_stays_at_rest() -> None:
@@ -218,38 +224,42 @@ def test_nested_levels_give_the_intensity_of_boundary_collocation() -> None:
     assert np.all(np.abs(moved) < 0.1 * h)  # the finest level stays where it is
 
 
-def inclined(contact: Any, friction: float) -> MaterialPointSolver:
-    """Large plate under compression of 1e4 Pa along y, with a crack at 45 degrees, 10 long."""
-    reach = 5.0 * np.sqrt(0.5)
-    crack = Crack(((30.1 - reach, 30.2 - reach), (30.1 + reach, 30.2 + reach)), contact, friction)
-    loads = [Traction("top", (0.0, -1e4)), Traction("bottom", (0.0, 1e4))]
-    solver = plate((60, 60), STEEL, loads=loads, cracks=[crack])
+def sheared(contact: Any, friction: float, stress: float = -1e4) -> MaterialPointSolver:
+    """Plate under 1e4 Pa along y, pressing or pulling, and a shear of 5e3 Pa, with a crack along x, 10 long."""
+    crack = Crack(((15.1, 20.5), (25.1, 20.5)), contact, friction)
+    loads = [
+        Traction("top", (5e3, stress)),
+        Traction("bottom", (-5e3, -stress)),
+        Traction("right", (0.0, 5e3)),
+        Traction("left", (0.0, -5e3)),
+    ]
+    solver = plate((40, 41), STEEL, loads=loads, cracks=[crack])
     assert solver.equilibrate(1e-6, 25).converged
     return solver
 
 
-def test_closed_faces_slide_as_theory_has_it() -> None:
-    """A closed crack in an infinite plate: K_II is its shear times sqrt(pi a); friction takes its share of the slide."""
-    smooth = inclined("frictionless", 0.0)
-    release = (5e3 * np.sqrt(np.pi * 5.0)) ** 2 / 1e9
-    assert release_rate(smooth, (1.0, 4.0)) == pytest.approx(release, rel=0.05)  # 5 cells in the half length
-    assert smooth.cracks is not None
-    _, slide = smooth.cracks.opening(0)
-    assert np.abs(slide[:, 0]).max() < 0.01 * np.abs(slide[:, 1]).max()
-    rough = inclined("coulomb", 0.3)
-    assert rough.cracks is not None
-    _, less = rough.cracks.opening(0)
-    assert np.abs(less[:, 1]).max() / np.abs(slide[:, 1]).max() == pytest.approx(0.7, rel=0.02)
+def widest(solver: MaterialPointSolver) -> tuple[float, float]:
+    """Opening and sliding [m]."""
+    assert solver.cracks is not None
+    opening, sliding = np.abs(solver.cracks.opening(0)[1]).max(axis=0)
+    return float(opening), float(sliding)
 
 
-@pytest.mark.parametrize(("friction", "contact"), [(0.0, "stick"), (1.2, "coulomb")])
-def test_closed_faces_that_stick_are_not_felt(friction: float, contact: Any) -> None:
-    solver = inclined(contact, friction)
+def test_closed_smooth_faces_slide_as_open_ones_do() -> None:
+    """Uniform pressure passes a closed crack; what is left is the open crack under shear. Friction takes its share."""
+    opened, closed = widest(sheared("frictionless", 0.0, 1e4)), widest(sheared("frictionless", 0.0))
+    assert closed[1] == pytest.approx(opened[1], rel=0.01)
+    assert closed[0] < 1e-3 * opened[0]
+    assert widest(sheared("coulomb", 0.3))[1] / closed[1] == pytest.approx(0.4, rel=0.02)
+    assert widest(sheared("coulomb", 0.8))[1] < 0.02 * closed[1]
+
+
+def test_closed_faces_that_stick_are_not_felt() -> None:
+    solver = sheared("stick", 0.0)
     assert solver.cracks is not None
     from_tips = [np.linalg.norm(solver.points.reference_position - t.reference, axis=1) for t in solver.cracks.tips]
-    clear = np.min(from_tips, axis=0) > 3.0
-    stress = solver.points.stress[clear]
-    np.testing.assert_allclose(stress, np.broadcast_to([0.0, -1e4, 0.0], stress.shape), atol=0.01 * 1e4)
+    stress = solver.points.stress[np.min(from_tips, axis=0) > 3.0]
+    np.testing.assert_allclose(stress, np.broadcast_to([0.0, -1e4, 5e3], stress.shape), atol=0.01 * 1e4)
 
 
 def test_a_load_that_nothing_bears_does_not_end_as_equilibrium() -> None:
@@ -268,7 +278,7 @@ def test_a_material_without_a_tangent_is_refused() -> None:
 
 def test_points_that_leave_the_grid_are_told() -> None:
     held = [EdgeCondition("right", 0, displacements=Constant(100.0)), symmetry("left"), symmetry("bottom")]
-    with pytest.raises(SolverError, match="beyond the grid"):
+    with pytest.raises(SolverError, match="leave the grid"):
         plate((3, 3), STEEL, edge_conditions=held).equilibrate(1e-6, 20)
 
 
