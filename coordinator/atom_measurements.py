@@ -108,7 +108,7 @@ class AtomMeasurements:
                 raise
             # The tip has come so far that a contour leaves the atoms; that is no reason to end the run.
             if not self.notes:
-                self.notes.append(f"J is not measured from step {step} on: {error.report.sentence}")
+                self.notes.append(f"J could not be measured at step {step}: {error.report.sentence}")
             return {}
         values: dict[str, float] = {"j_tip": self._region.frame.x_to_scene(found.tip[0])}
         for contour in range(len(table.half_sizes)):

@@ -6,7 +6,9 @@ import math
 
 from pydantic import TypeAdapter
 
+from coordinator.continuum_request import elastic_constants
 from coordinator.continuum_tables import CrackLine
+from coordinator.critical_length import of_scene
 from coordinator.scene import Corners, Handshake, Scene
 from coordinator.units import LENGTHS, TIMES, readable
 from coordinator.wave_speed import wave_speed
@@ -40,15 +42,33 @@ def describe(scene: Scene) -> str:
     else:
         lines += _atoms(scene)
         total += _atomistic_seconds(scene)
+    preload = scene.continuum.preload
+    if preload is not None:
+        lines.append(
+            f"preload      {preload.method}, to a residual of {preload.tolerance:g}; its time is not in the estimate"
+        )
     crack = scene.crack
     if crack is not None:
-        lines.append(f"crack        from the left edge to x = {_length(crack.tip_x)}")
+        start = "the left edge" if crack.start_x is None else f"x = {_length(crack.start_x)}"
+        grows = "" if crack.growth is None else f", grows at {crack.growth.critical_energy_release_rate:g} J/m2"
+        lines.append(f"crack        from {start} to x = {_length(crack.tip_x)}{grows}{_critical(scene)}")
     lines += [_crack(line) for line in scene.continuum.cracks]
     lines += [
         f"run          at most {scene.run.steps} coupling steps, {_time(scene.run.steps * step)}",
         f"estimate     {_duration(total)} on one idle core; another machine or a busy one differs",
     ]
     return "\n".join(lines)
+
+
+def _critical(scene: Scene) -> str:
+    """Return what Eq 1 says of the crack, where material and toughness are known before the run."""
+    given = scene.continuum.material
+    if given is None or given.law == "orthotropic":
+        return ""
+    material: c.Material = TypeAdapter(c.Material).validate_python(given.constants())
+    elastic = elastic_constants(material)
+    found = None if elastic is None else of_scene(scene, elastic)
+    return "" if found is None else f"; critical length {_length(found.length)} (Eq 1)"
 
 
 def _continuum(scene: Scene, backend: str) -> list[str]:
@@ -141,7 +161,7 @@ def _atoms(scene: Scene) -> list[str]:
     lines = [
         f"atomistic    {backend.name}: {what} by {atomistic.force_field}, "
         f"{atomistic.width / _ANGSTROM:g} x {atomistic.height / _ANGSTROM:g} angstrom, {atomistic.temperature:g} K, "
-        f"{atomistic.ranks} rank(s)",
+        f"{atomistic.ranks} rank(s)" + _places(scene),
         f"             {amount}step {atomistic.time_step * 1e15:g} fs, about {_duration(_atomistic_seconds(scene))}",
         f"handshake    {handshake.width / _ANGSTROM:g} angstrom wide, M {_exchange_length(handshake)}, cells of "
         f"{handshake.ivc_size / _ANGSTROM:g} angstrom, weight and stiffness "
@@ -155,6 +175,14 @@ def _atoms(scene: Scene) -> list[str]:
         on = [*atomistic.fields.atoms, *([f"a grid of {_length(grid)}"] if grid is not None else [])]
         lines.append(f"fields       every {atomistic.fields.interval} steps: {', '.join(on)}")
     return lines
+
+
+def _places(scene: Scene) -> str:
+    if not scene.regions:
+        return ""
+    return ", each of " + ", ".join(
+        f"{place.name} at ({_length(place.centre[0])}, {_length(place.centre[1])})" for place in scene.regions
+    )
 
 
 def _exchange_length(handshake: Handshake) -> str:
@@ -177,8 +205,9 @@ def _atomistic_seconds(scene: Scene) -> float:
     assert atomistic is not None and handshake is not None
     atoms = _atoms_per_layer(scene) * atomistic.layers
     steps = scene.run.steps * (handshake.steps_per_exchange or handshake.most_steps_per_exchange)
-    steps += round((atomistic.equilibration + atomistic.reference) / atomistic.time_step)
-    return atoms * steps * _rate(find("atomistic", atomistic.backend), atomistic.force_field) / atomistic.ranks
+    steps += round((atomistic.equilibration + atomistic.reference + atomistic.hold) / atomistic.time_step)
+    rate = _rate(find("atomistic", atomistic.backend), atomistic.force_field)
+    return len(scene.places) * atoms * steps * rate / atomistic.ranks
 
 
 def _rate(backend: Backend, name: str) -> float:

@@ -160,19 +160,21 @@ def _crack(curves: Curves, scene: Scene) -> Picture | None:
     tips = curves.parts("crack_tip")
     if scene.crack is None or not curves.has("broken_bonds") or not (tips or curves.has("j_boundary")):
         return None
-    load = "j_boundary" if curves.has("j_boundary") else "applied_strain"
-    figure, axes = panels(3, 4.6)
-    curves.draw(axes[0], load, "load", BLUE, 1.0 if load == "j_boundary" else 0.01)
-    axes[0].set_ylabel("J (J/m²)" if load == "j_boundary" else "applied strain (%)")
+    load = next((name for name in ("j_boundary", "applied_strain") if curves.has(name)), None)
+    figure, axes = panels(3 if load else 2, 4.6 if load else 3.4)
+    if load is not None:
+        curves.draw(axes[0], load, "load", BLUE, 1.0 if load == "j_boundary" else 0.01)
+        axes[0].set_ylabel("J (J/m²)" if load == "j_boundary" else "applied strain (%)")
+    tip_axes, bond_axes = axes[-2:]
     for name, colour in zip(tips, (RED, ORANGE, GREEN, PURPLE), strict=False):
         tip = curves.get(name, ANGSTROM)
         first = tip[np.isfinite(tip)][0]
-        curves.line(axes[1], np.abs(tip - first), name.partition("@")[2] or "tip", colour)
+        curves.line(tip_axes, np.abs(tip - first), name.partition("@")[2] or "tip", colour)
     if len(tips) > 1:
-        _legend(axes[1])
-    axes[1].set_ylabel("tip advance (Å)")
-    curves.draw(axes[2], "broken_bonds", "broken bonds", RED)
-    axes[2].set(ylabel="broken bonds", xlabel=curves.time_label)
+        _legend(tip_axes)
+    tip_axes.set_ylabel("tip advance (Å)")
+    curves.draw(bond_axes, "broken_bonds", "broken bonds", RED)
+    bond_axes.set(ylabel="broken bonds", xlabel=curves.time_label)
     if curves.has("broken_bonds"):
         broken = curves.get("broken_bonds")
         more = np.flatnonzero(broken > broken[np.isfinite(broken)][0])

@@ -104,19 +104,15 @@ class LammpsAnchors:
         self.write()
         self._command(self._force_commands())
 
-    def write(self, forces_known: bool = False) -> bool:
+    def write(self, forces_known: bool = False) -> None:
         """Hand the anchors' positions and velocities to LAMMPS and put passive atoms to their places.
 
         Parameters
         ----------
         forces_known : bool
             Whether LAMMPS goes on from the forces that it has, of the last step's end. Those of the springs are then
-            brought to the new anchors here, since the first half kick is made with them.
-
-        Returns
-        -------
-        bool
-            Whether passive atoms moved, so that the forces are those of other places.
+            brought to the new anchors here, since the first half kick is made with them. What passive atoms pull at
+            their new places is in it half a step late: a setup would know it, and draw the noise of that step anew.
         """
         system, anchors = self._system, self._anchors
         row = self.row_of_atom[system.local_rows()]
@@ -141,14 +137,12 @@ class LammpsAnchors:
         passive = anchors.passive[row]
         if forces_known:
             system.local("f")[local[~passive]] += (after - before)[~passive]
-        if not self.has_passive:
-            return False
-        local, row = local[passive], row[passive]
-        way = anchors.position[row] / units.length - system.local_position()[local]
-        system.local("x")[local] += way
-        speed = anchors.velocity[row] if anchors.moving else np.zeros((len(row), 3))
-        system.local("v")[local] = speed / units.velocity
-        return bool(system.ranks.sum(np.array([float(way.any())]))[0])
+        if self.has_passive:
+            local, row = local[passive], row[passive]
+            here = system.local_position()[local]
+            system.local("x")[local] += anchors.position[row] / units.length - here
+            speed = anchors.velocity[row] if anchors.moving else np.zeros((len(row), 3))
+            system.local("v")[local] = speed / units.velocity
 
     def _force_commands(self) -> list[str]:
         terms = []

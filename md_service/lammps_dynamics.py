@@ -115,8 +115,8 @@ class LammpsDynamics:
 
     def move_anchors(self) -> None:
         """Take over changed positions and velocities of the anchors."""
-        if self._links is not None and self._links.write(forces_known=not self._needs_setup):
-            self._needs_setup = True
+        if self._links is not None:
+            self._links.write(forces_known=not self._needs_setup)
 
     def displace(self, displacement: NDArray[np.float64]) -> None:
         """Move all atoms at once; the box grows where they leave it in a free direction."""

@@ -199,7 +199,9 @@ def draw(path: Path, lengths: FloatArray, along: FloatArray, curves: list[FloatA
             theory = [scheme.reflection(wavelength) for wavelength in along]
             right.plot(along, theory, color=scheme.colour, label=scheme.label)
             right.plot(along[::3], curve[::3], "o", color=scheme.colour, markersize=4)
-        right.set(xscale="log", yscale="log", xlabel="wavelength / L", ylabel="reflected amplitude", ylim=(5e-3, 1.0))
+        right.set(xscale="log", yscale="log", xlabel="wavelength / L", ylabel="reflected amplitude", ylim=(1e-3, 1.0))
+        right.set_xticks([3, 5, 10, 20, 50], ["3", "5", "10", "20", "50"])
+        right.minorticks_off()
         right.set_title("Reflection (lines theory, marks whole scenes)")
         right.legend()
         figure.savefig(path)

@@ -5,7 +5,7 @@ All plane fields with free faces on a straight crack are Williams' series; with 
     phi = sum a_n z^(n/2),   psi = -sum (n/2 + (-1)^n) a_n z^(n/2),   a_n real,
     s_xx + s_yy = 4 Re phi',   s_yy - s_xx + 2 i s_xy = 2 (conj(z) phi'' + psi').
 
-The a_n that meet the tractions on the plate's outer faces best give K_I = sqrt(2 pi) a_1 (Gross, Srawley and Brown 1964).
+The a_n that meet the tractions on the plate's outer faces best give K_I = sqrt(2 pi) a_1 (Gross, Srawley, Brown 1964).
 """
 
 from __future__ import annotations

@@ -240,7 +240,7 @@ def test_a_tip_that_runs_out_of_reach_ends_j_but_not_the_run() -> None:
         values.clear()
         taken.take(step, values)
         assert values == {}
-    assert len(taken.notes) == 1 and "from step 20 on" in taken.notes[0]
+    assert len(taken.notes) == 1 and "at step 20" in taken.notes[0]
     # At the first value it is the scene that is wrong.
     with pytest.raises(ProtocolError, match="beyond the atoms"):
         measurements(Service([far])).take(10, {})
