@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
 from benchmarks.coupling_runs import Study
 from protocol.verification import BenchmarkRow
@@ -27,7 +28,7 @@ _SEED: Final = "#D55E00"
 
 def draw(study: Study, rows: Sequence[BenchmarkRow], path: Path) -> None:
     """Draw the rows of a study and write the picture to `path`."""
-    figure = Figure(figsize=(8.4, 5.0), layout="constrained")
+    figure = Figure(figsize=(9.2, 5.2), layout="constrained")
     panel = figure.subplots()
     done = [row for row in rows if row.error is not None]
     middle = next(row for row in done if not _turned(row))
@@ -50,10 +51,13 @@ def draw(study: Study, rows: Sequence[BenchmarkRow], path: Path) -> None:
     peer = next(row for row in rows if row.peer)
     panel.axvline(peer.seconds, color="#777777", linestyle=":", linewidth=1.2, label="full atomistic run")
     refused = [row.label.split(": ")[1] for row in rows if "refused" in row.label]
-    if refused:
-        panel.set_title("; ".join(refused), loc="right", fontsize=7.5, color="#777777")
+    title = f"{study.problem.name}: {study.measure}"
+    panel.set_title("\n".join([title, *refused]), loc="left", fontsize=9.5)
     panel.set(xscale="log", yscale="log", xlabel="wall time of the loop for 1 ps (s)", ylabel="error (%)")
-    panel.set_title(f"{study.problem.name}: {study.measure}", loc="left", fontsize=9.5, pad=18)
+    for axis in (panel.xaxis, panel.yaxis):
+        axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter("{x:g}")
     panel.grid(True, which="both", color="#eeeeee", linewidth=0.6)
     panel.set_axisbelow(True)
     panel.spines[["top", "right"]].set_visible(False)

@@ -81,7 +81,7 @@ def break_error(coupled: Course, whole: Course) -> float | None:
 STUDIES: Final = (
     Study(
         LATTICE,
-        "error of the stretch at the tip, rms over the load, against the lattice alone",
+        "error of the stretch at the crack tip, rms over the run",
         {
             "m": (2, 5, 40),
             "width": (8, 16),
@@ -93,7 +93,7 @@ STUDIES: Final = (
     ),
     Study(
         GRAPHENE,
-        "error of the load at the first broken bond against graphene alone",
+        "error of the load at the first broken bond",
         {"m": (5, 40), "width": (5, 10), "weight": (0.5, 1.0), "stiffness": (5.0, 50.0), "size": (53, 93)},
         break_error,
     ),

@@ -10,7 +10,7 @@
 (4000, 2)
 """
 
-from .conditions import EdgeCondition, NodeCondition, symmetry
+from .conditions import EdgeCondition, FieldCondition, NodeCondition, symmetry
 from .crack_line import Crack
 from .cracks import CrackSet, Tip
 from .damping import Damping, Relaxation, relax
@@ -18,6 +18,7 @@ from .errors import SolverError
 from .grid import Grid
 from .hierarchy import HierarchicalGrid
 from .hierarchy_filling import fill_hierarchy
+from .k_field import CrackTipField
 from .loads import AbsorbingEdge, BodyForce, Traction
 from .material import Material, MaterialError
 from .material_points import Body, fill_rectangle, fill_region
@@ -36,9 +37,11 @@ __all__ = [
     "Constant",
     "Crack",
     "CrackSet",
+    "CrackTipField",
     "Damping",
     "EdgeCondition",
     "Energies",
+    "FieldCondition",
     "Grid",
     "HierarchicalGrid",
     "IsotropicElastic",

@@ -241,7 +241,8 @@ def _mean_weight(body: Body, points: NDArray[np.int64], ring: FloatArray, overla
         s[beyond] = 1.0
         inside = (to_inner > 0.0) & ~beyond
         inside[~inside.any(axis=1)] = True  # a sliver between the places: it lies where s is 0 or 1
-        value = s * s * (3.0 - 2.0 * s) if overlap.profile == "cubic" else s**overlap.exponent
+        exponent = overlap.exponent if overlap.profile == "power" else 1.0
+        value = s * s * (3.0 - 2.0 * s) if overlap.profile == "cubic" else s**exponent
         mean[some] += (1.0 - overlap.weight) * np.average(value, axis=1, weights=inside)
     return mean
 

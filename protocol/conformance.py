@@ -9,6 +9,7 @@ from pathlib import Path
 from protocol.conformance_atomistic import AtomisticChecks
 from protocol.conformance_cracks import CrackChecks
 from protocol.conformance_kit import Check
+from protocol.conformance_overlap import OverlapChecks
 from protocol.conformance_wire import WireChecks
 from protocol.malformed_messages import malformed_messages
 
@@ -48,7 +49,7 @@ def check_service(
     return kit.checks
 
 
-class Kit(WireChecks, AtomisticChecks, CrackChecks):
+class Kit(WireChecks, AtomisticChecks, CrackChecks, OverlapChecks):
     """One pass over one service; see `check_service`."""
 
     def run(self, shutdown: bool) -> None:
@@ -84,6 +85,7 @@ class Kit(WireChecks, AtomisticChecks, CrackChecks):
         self._kinds(problem)
         self._atomistic(problem)
         self._cracks(problem)
+        self._overlaps(problem)
         self._wrong_fields(problem)
         self._check("control: status while the solver computes, and abort", lambda: self._status_and_abort(problem))
         self._check("state failed: only configure helps", lambda: self._failed(problem))

@@ -38,8 +38,8 @@ def gradient_text(gradient: FloatArray, half: float, rise: float = 0.0) -> str:
     """Return edges that bring a square body to a uniform displacement gradient, exactly in linear elasticity.
 
     An edge moves along one of its components only, the other is free. With a stretch it is the normal one; without,
-    the tangential one. What is free has no traction in the uniform state: the gradient must be a stretch along the axes, or
-    have du_x/dy and du_y/dx alone.
+    the tangential one. What is free has no traction in the uniform state: the gradient must be a stretch along the
+    axes, or have du_x/dy and du_y/dx alone.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Case `coupling/momentum`: what the continuum gains the atoms lose, at every step.
 
-A free body is hit on one side; when the hit is over nothing acts on it from outside. The continuum takes the reactions of
-a step in the next one, so with P of the continuum and p of the atoms, P(n) + p(n - 1) is the same for every step n.
+A free body is hit on one side; when the hit is over nothing acts on it from outside. The continuum takes the reactions
+of a step in the next one, so with P of the continuum and p of the atoms, P(n) + p(n - 1) is the same for every step n.
 """
 
 from __future__ import annotations

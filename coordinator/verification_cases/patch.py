@@ -1,9 +1,9 @@
 """Case `coupling/patch`: a uniform strain goes through the handshake, along x, along y and as shear.
 
-The edges of the body are held as a uniform strain asks, and the run begins with that strain in continuum and atoms alike.
-Both then move, damped, to the equilibrium that the handshake gives them; what it differs by from the strain applied is
-the handshake's own. The strain of the atoms is fitted to their displacements, that of the continuum follows from its stress:
-displacements of material points keep ripples of waves that passed.
+The edges of the body are held as a uniform strain asks, and the run begins with that strain in continuum and atoms
+alike. Both then move, damped, to the equilibrium that the handshake gives them; what it differs by from the strain
+applied is the handshake's own. The strain of the atoms is fitted to their displacements, that of the continuum follows
+from its stress: displacements of material points keep ripples of waves that passed.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class StrainErrors:
     point, continuum : float64 array, shape (m, 2) and (m, 3)
         Material points outside the handshake, m, and their strain.
     beyond : bool array, shape (m,)
-        Which of them lie more than a cell from it and from the edges of the body: nodes there carry less than whole cells.
+        Which of them lie more than a cell from it and from the edges of the body: nodes there carry parts of cells.
     """
 
     mean: FloatArray
@@ -152,6 +152,7 @@ def _last_displacement(results: Results) -> FloatArray:
     except KeyError:
         last = results.atoms.position(len(results.atoms) - 1)
         return np.asarray((last - results.atoms.reference)[:, :2])
+
 
 def _symmetric(gradient: FloatArray) -> FloatArray:
     """Strains xx, yy, xy of gradients, shape (n, 2, 2)."""

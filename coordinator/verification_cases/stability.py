@@ -281,7 +281,7 @@ def _hard_cases(folder: Path) -> list[Check]:
         young, density, WIDTH, 10 * TIME_STEP, stiffness_density=0.01 * default.stiffness_density, profile="power"
     )
     scheme = Scheme("a hundredth", soft.profile, soft.relative_stiffness, INK)
-    measured = elongation(scheme, folder / "soft")
+    measured = elongation(scheme, folder / "soft", transits=90.0)  # the softer, the slower
     checks.append(
         Check(f"springs of a hundredth: static error {measured:.3f} of a whole scene over that stated",
               measured / soft.static_error, 1.0, 0.05, "theory of two bars")

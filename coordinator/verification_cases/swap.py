@@ -1,9 +1,10 @@
 """Case `coupling/swap`: the same scene with other solvers behind the roles.
 
 Runs at 0 K without dampers, in which nothing moves but by the forces. All integrators are velocity Verlet, so two
-codes differ by the digits of their forces alone: 1e-6 of conversions of units (LAMMPS), 2e-5 of single precision
-(OpenMM), round-off in another order (the two continua). The motion of a solid at small strain carries such
-differences along and does not multiply them, as the tolerances hold.
+codes differ by the digits of their forces alone: 1e-7 of conversions of units (LAMMPS), 2e-5 of single precision
+(OpenMM), round-off in another order (the two continua), and by where their minimisers end before the load. The motion
+of a solid at small strain carries such differences along and hardly multiplies them; the tolerances are a few times
+what that leaves. An anchor that jumps half a step late in one engine shows as 16 % here.
 """
 
 from __future__ import annotations
@@ -91,22 +92,23 @@ def swap(folder: Path) -> list[Check]:
     with Results(folder / "springs-lattice" / "run" / "results.h5") as results:
         assert results.atoms is not None
         (bonds / "lattice.data").write_text(bonded_lattice(results.atoms.reference), encoding="utf-8")
-    digits = "digits of the other engine's forces: "
+    # Before the load minimisers end within 2e-6 A of each other, 7e-6 of the largest displacement.
     pairs = [
-        ("ASE for LAMMPS, argon", _run(argon, folder / "argon-ase", "atomistic.backend=ase"), lammps, 1e-5,
-         digits + "LAMMPS converts units with seven"),
-        ("OpenMM for LAMMPS, argon", _run(argon, folder / "argon-openmm", "atomistic.backend=openmm"), lammps, 2e-3,
-         digits + "OpenMM computes in single precision"),
-        ("LAMMPS for the lattice, springs", _run(_with_bonds(springs), bonds), lattice, 1e-5,
-         digits + "LAMMPS converts units with seven"),
+        ("ASE for LAMMPS, argon", _run(argon, folder / "argon-ase", "atomistic.backend=ase"), lammps, (5e-5, 2e-5),
+         "LAMMPS converts units with seven digits; minimisers end 2e-6 A apart"),
+        ("OpenMM for LAMMPS, argon", _run(argon, folder / "argon-openmm", "atomistic.backend=openmm"), lammps,
+         (2e-4, 1e-4), "OpenMM computes in single precision"),
+        ("LAMMPS for the lattice, springs", _run(_with_bonds(springs), bonds), lattice, (1e-6, 2e-6),
+         "LAMMPS converts units with seven digits"),
         ("plain numpy for the compiled continuum, springs",
-         _run(springs, folder / "springs-reference", "continuum.backend=reference"), lattice, 1e-7,
+         _run(springs, folder / "springs-reference", "continuum.backend=reference"), lattice, (1e-10, 1e-7),
          "the same method summed in another order; forces are stored in single precision"),
     ]  # fmt: skip
     _draw({name: (one, other) for name, one, other, _, _ in pairs}, folder / "swap.png")
     checks = []
-    for name, one, other, tolerance, source in pairs:
-        for quantity, value in zip(("displacement of atoms", "force of cells"), one.difference(other), strict=True):
+    for name, one, other, allowed, source in pairs:
+        quantities = ("displacement of atoms", "force of cells")
+        for quantity, value, tolerance in zip(quantities, one.difference(other), allowed, strict=True):
             checks.append(Check(f"{quantity}, {name}", value, 0.0, tolerance, source))
     return checks
 

@@ -91,15 +91,15 @@ STATICS = (
 )
 
 
-def elongation(scheme: Scheme, folder: Path) -> float:
+def elongation(scheme: Scheme, folder: Path, transits: float = 28.0) -> float:
     """Return the static error of one overlap in a whole scene, in widths times the far strain.
 
     The body starts in uniform strain under the traction of its ends, atoms and all; what it stretches further until it
-    is at rest is what its two overlaps are too long.
+    is at rest, after so many transits of a wave through L, is what its two overlaps are too long.
     """
     bar = chain.Bar(left=1.5, right=1.5, chain=3.0)
     strain = 1e-4
-    steps = round(28.0 * chain.WIDTH / chain.SPEED / bar.coupling_step)
+    steps = round(transits * chain.WIDTH / chain.SPEED / bar.coupling_step)
     preload = '\n[continuum.preload]\nmethod = "static"\ntolerance = 1e-9\nmax_steps = 50\n'
     damper = f'damping_time = "{0.5 * chain.WIDTH / chain.SPEED:.9e} s"\n'
     text = bar.text(

@@ -10,7 +10,7 @@ import numpy as np
 from protocol.verification import Case, Check
 
 from ..scheme import Integration, Interpolation, Scheme
-from . import bar_wave, beam, convergence, free_vibration, large_deformation, rigid, stability, transition
+from . import bar_wave, beam, convergence, free_vibration, large_deformation, rigid, stability, static, transition
 from .beam_theory import bernoulli_deflection, timoshenko_deflection
 from .edge_crack_checks import edge_crack_checks
 
@@ -226,4 +226,5 @@ CASES = [
     Case("mpm", "large-deformation", "a spinning disk and a bar at stretch 2", large_motion),
     Case("mpm", "transition", "a wave through a 2:1 change of cell size", wave_through_transition),
     Case("mpm", "stability", "conditions that make solvers run away", hard_conditions, slow=True),
+    *static.CASES,
 ]

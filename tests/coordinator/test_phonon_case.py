@@ -39,5 +39,5 @@ def test_waves_leave_the_inner_atoms_after_the_time_that_they_need_and_none_come
     inside = hexagonal(25, 21)  # about 72 Angstrom wide: waves of 24 km/s at most need 0.15 ps to the border
     decay = unbounded(inside, np.array([0.0, 0.05, 0.1, 0.6, 1.2]) * 1e-12)
     np.testing.assert_allclose(decay.energy[:3], 1.0, atol=0.02)
-    assert decay.energy[3] < 0.5
-    assert decay.energy[4] < decay.energy[3]
+    assert decay.energy[3] < 0.6
+    assert decay.energy[4] < 0.5 * decay.energy[3]

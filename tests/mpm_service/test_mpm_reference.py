@@ -144,7 +144,7 @@ def _assert_alike(fast: Any, slow: Any) -> None:
     found, reference = fast.energies(), slow.energies()
     scale = reference.kinetic + reference.strain + reference.dissipated
     names = ["kinetic", "edge_work", "interface_work", "damping_loss", "dissipated"]
-    if fast.cracks is None and not fast.points_lost:  # else the fast one may have to estimate the last half step of both
+    if fast.cracks is None and not fast.points_lost:  # else the fast one may estimate the last half step of both
         names += ["strain", "filter_loss"]
     for name in names:
         assert getattr(found, name) == pytest.approx(getattr(reference, name), abs=TOLERANCE * scale), name

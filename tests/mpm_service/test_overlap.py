@@ -88,17 +88,18 @@ def test_a_point_across_a_border_has_the_mean_over_its_domain() -> None:
     assert np.unique(body.position[:, 1]).size == 8
 
 
-@pytest.mark.parametrize("profile", ["linear", "cubic"])
+@pytest.mark.parametrize("profile", ["linear", "cubic", "power"])
 def test_profiles_are_means_over_domains(profile: Profile) -> None:
     """Between two lines s is linear in x: the means over the domains are integrals of a polynomial."""
     left, width, weight = 2.3, 6.1, 0.07
-    overlap = Overlap(box(left + width, -40.0, 60.0, 40.0), box(left, -60.0, 80.0, 60.0), weight, profile)
+    overlap = Overlap(box(left + width, -40.0, 60.0, 40.0), box(left, -60.0, 80.0, 60.0), weight, profile, 3.0)
     body = cut_overlaps(fill_rectangle((0.0, 0.0), (12.0, 3.0), 1.0), [overlap])
 
     def integral(x: float) -> float:
         """Integral of the weight from the outer border to x in the ring, both there."""
         s = 1.0 - np.clip((x - left) / width, 0.0, 1.0)
-        p = 0.5 * (1 - s**2) if profile == "linear" else (1 - s**3) - 0.5 * (1 - s**4)
+        quartic = (1 - s**4) / 4
+        p = {"linear": (1 - s**2) / 2, "cubic": (1 - s**3) - 2 * quartic, "power": quartic}[profile]
         return float(weight * (1 - s) * width + (1 - weight) * p * width)
 
     for x, found in zip(body.position[:, 0], body.weight, strict=True):
