@@ -154,6 +154,6 @@ LATTICE: Final = Problem(
 )  # fmt: skip
 GRAPHENE: Final = Problem(
     name="graphene", backend="md_service", force_field="airebo-sharp", material="graphene", half=82.5, cell=5, y=0,
-    young=827, poisson=0.357, density=2345, thickness=3.35, intensity=3.0, start=0.92, end=1.10, rest=0.3, time=1.9,
+    young=827, poisson=0.357, density=2345, thickness=3.35, intensity=3.0, start=0.80, end=1.05, rest=0.3, time=2.8,
     temperature=10, time_step=0.5, damper=0.05, damping=2.0, size=73, width=15, m=20,
 )  # fmt: skip

@@ -284,9 +284,7 @@ class Coupling:
         for region, reply, start in zip(self.regions, atoms, self._start_energy, strict=True):
             values.update(atom_values(self.scene, region, reply, float(start), alone=len(atoms) == 1))
         values.update(regions_values(self.regions, atoms, self._start_energy))
-        values.update(
-            self._books.enter(continuum, atoms, found.moved, self._reference_force, self.scene.time_step)
-        )
+        values.update(self._books.enter(continuum, atoms, found.moved, self._reference_force, self.scene.time_step))
         # A sample has a crack to measure J at while the tip is among its atoms.
         legs = [passage.leg for passage in self._passages] or [Leg.ATOMS] * len(atoms)
         pairs = zip(self.measurements, legs, strict=True)

@@ -195,8 +195,7 @@ def interface_tables(regions: Sequence[Region], scene: Scene) -> dict[str, Any]:
         "inner": [first.min(axis=0), first.max(axis=0)],
         "outer": [last.min(axis=0), last.max(axis=0)],
         "rings": {
-            region.name: {"inner": inner, "outer": outer}
-            for region, (inner, outer) in zip(regions, boxes, strict=True)
+            region.name: {"inner": inner, "outer": outer} for region, (inner, outer) in zip(regions, boxes, strict=True)
         },
     }
 

@@ -143,9 +143,7 @@ class ResultsWriter:
 
     def crack(self, critical: float, own: float) -> None:
         """Keep the critical crack length of Eq 1 and the length of the scene's crack, m."""
-        self._static.append(
-            lambda file: file.attrs.update({"critical_crack_length": critical, "crack_length": own})
-        )
+        self._static.append(lambda file: file.attrs.update({"critical_crack_length": critical, "crack_length": own}))
 
     def row(self, step: int, values: dict[str, float]) -> None:
         """Add one row of the time series.
@@ -381,9 +379,7 @@ def _box_corners(box: FloatArray) -> FloatArray:
     return np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
 
 
-def _create_interface(
-    file: h5py.File, values: dict[str, np.ndarray], rings: dict[str, dict[str, FloatArray]]
-) -> None:
+def _create_interface(file: h5py.File, values: dict[str, np.ndarray], rings: dict[str, dict[str, FloatArray]]) -> None:
     group = file.create_group("interface")
     for region, borders in rings.items():
         for name, corners in borders.items():

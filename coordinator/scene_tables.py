@@ -53,7 +53,8 @@ class Handshake(Table):
         default=None, min_length=3, description="of the outer border of a polygon, from the middle of the sample, m"
     )
     sides: list[Side] = Field(
-        default=["left", "right", "bottom", "top"], min_length=1,
+        default=["left", "right", "bottom", "top"],
+        min_length=1,
         description="where a rectangle has a ring; elsewhere the sample ends where the body does",
     )
     steps_per_exchange: Count | None = Field(

@@ -68,13 +68,17 @@ def kinetic_energy(listed: IntArray, momentum: FloatArray, motion: FloatArray) -
 
 
 @njit(cache=True, nogil=True)
-def keep_forces(listed: IntArray, momentum: FloatArray, internal: FloatArray) -> None:
-    """Copy the forces out of `momentum`."""
+def keep_forces(listed: IntArray, momentum: FloatArray, velocity: FloatArray, internal: FloatArray) -> float:
+    """Copy the forces out of `momentum`; returns their power at the velocities in the first columns of a table [W]."""
     dim = internal.shape[1]
+    total = 0.0
     for i in range(listed.size):
         n = listed[i]
         for a in range(dim):
-            internal[n, a] = momentum[n, 1 + dim + a]
+            force = momentum[n, 1 + dim + a]
+            internal[n, a] = force
+            total += force * velocity[n, a]
+    return total
 
 
 @njit(cache=True, nogil=True)
@@ -89,23 +93,29 @@ def power(listed: IntArray, force: FloatArray, velocity: FloatArray) -> float:
 
 
 @njit(cache=True, nogil=True)
-def halfway(listed: IntArray, momentum: FloatArray, motion: FloatArray, keep: float, out: FloatArray) -> float:
-    """Velocities with which forces do their work in a step; returns the gain of the nodes' kinetic energy [J].
+def halfway(
+    listed: IntArray, momentum: FloatArray, motion: FloatArray, internal: FloatArray, keep: float, out: FloatArray
+) -> tuple[float, float]:
+    """Velocities with which forces do their work in a step.
 
-    The work of a force f on a node is ``dt f (v_old + v_new) / 2``, v_new before it is damped by ``keep``.
+    The work of a force f on a node is ``dt f (v_old + v_new) / 2``, v_new before it is damped by ``keep``. Returns the
+    gain of the nodes' kinetic energy [J] and the power of the internal forces [W].
     """
     dim = out.shape[1]
     undamped = 1.0 / keep
     gain = 0.0
+    power = 0.0
     for i in range(listed.size):
         n = listed[i]
         mass = momentum[n, 0]
         for a in range(dim):
             new = motion[n, a]
             change = motion[n, dim + a]
-            out[n, a] = 0.5 * (new * undamped + new - change)
+            middle = 0.5 * (new * undamped + new - change)
+            out[n, a] = middle
+            power += internal[n, a] * middle
             gain += mass * change * (new - 0.5 * change)
-    return gain
+    return gain, power
 
 
 @njit(cache=True, nogil=True)

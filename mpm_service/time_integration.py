@@ -327,9 +327,9 @@ class TimeIntegration:
     def _take_internal(self, active: IntArray) -> None:
         """Keep the internal forces, and book the second half of the strain update that led to them."""
         tables, totals = self.nodes, self.totals
-        node_kernels.keep_forces(active, tables.momentum, tables.internal)
+        power = node_kernels.keep_forces(active, tables.momentum, self.strain_velocity, tables.internal)
         if totals.pending > 0.0:
-            totals.half = 0.5 * totals.pending * node_kernels.power(active, tables.internal, self.strain_velocity)
+            totals.half = 0.5 * totals.pending * power
         totals.unfiltered += totals.half
         totals.pending = totals.half = 0.0
 
@@ -343,9 +343,10 @@ class TimeIntegration:
         """Book what forces other than internal ones gave the nodes; leaves velocities halfway in `filtered`."""
         tables = self.nodes
         keep = self.damping.grid_factor(self.time_step)
-        gain = node_kernels.halfway(active, tables.momentum, tables.motion, keep, tables.filtered)
-        inner = duration * node_kernels.power(active, tables.internal, tables.filtered)
-        self.totals.unfiltered += gain / self.damping.force_factor - inner
+        gain, power = node_kernels.halfway(
+            active, tables.momentum, tables.motion, tables.internal, keep, tables.filtered
+        )
+        self.totals.unfiltered += gain / self.damping.force_factor - duration * power
         for load in self.loads:
             load.book(tables.momentum, tables.filtered, duration)
 

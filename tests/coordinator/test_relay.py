@@ -185,7 +185,7 @@ def test_a_passage_is_restored_with_its_leg() -> None:
 def test_a_crack_that_begins_among_the_atoms_needs_the_stress_of_the_scene() -> None:
     text = SCENE.replace('start_x = "-5 angstrom"', "").replace('tip_x = "5 angstrom"', 'tip_x = "60 angstrom"')
     text = text[: text.index('[[regions]]\nname = "left"')] + text[text.index("[crack]") :]
-    with pytest.raises(SceneError, match="crack.critical_stress: is missing"):
+    with pytest.raises(SceneError, match=r"crack\.critical_stress: is missing"):
         read_scene(text, "relay")
     scene = read_scene(text.replace('y = "0 angstrom"', 'y = "0 angstrom"\ncritical_stress = "5 GPa"'), "relay")
     assert scene.crack is not None and scene.crack.critical_stress == pytest.approx(5e9)
