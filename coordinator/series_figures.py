@@ -206,6 +206,12 @@ def _atomistic_j(curves: Curves, scene: Scene) -> Picture | None:
         axes.plot(time, domain, ":", color=colour, linewidth=1.0)
     if curves.has("j_boundary"):
         curves.draw(axes, "j_boundary", "edges", INK, dash="--")
+    tips = [tip for tip in curves.tips() if curves.has(tip + "j")]
+    for number, tip in enumerate(tips):
+        curves.draw(axes, tip + "j", "_" if number else "continuum", ORANGE)
+    toughness = scene.crack.toughness if scene.crack is not None else None
+    if toughness is not None:
+        axes.axhline(toughness, color=INK, linewidth=0.9, linestyle=":", label=f"{toughness:.3g} J/m²")
     axes.set(xlabel=curves.time_label, ylabel="J (J/m²)")
     _legend(axes)
     caption = (
@@ -213,6 +219,10 @@ def _atomistic_j(curves: Curves, scene: Scene) -> Picture | None:
         f" {table.interval} coupling steps, with its standard error as a band; dotted over the domain inside."
         " Dashed: from the displacement of the edges."
     )
+    if tips:
+        caption += " Orange: where the tip lies in the continuum."
+    if toughness is not None:
+        caption += " Horizontal: the toughness that the scene states."
     return picture(figure, "J from the atoms", caption)
 
 
@@ -232,7 +242,9 @@ def _tips(curves: Curves, scene: Scene) -> Picture | None:
         curves.draw(axes[1], tip + "k_2", "_", colour, 1e6, "--")
         length = curves.get(tip + "length", curves.units.length[0])
         curves.line(axes[2], length - length[np.isfinite(length)][0], "_", colour)
-    critical = {crack.growth.critical_energy_release_rate for crack in scene.continuum.cracks if crack.growth}
+    laws = [crack.growth for crack in scene.continuum.cracks]
+    laws += [scene.crack.growth] if scene.crack is not None else []
+    critical = {law.critical_energy_release_rate for law in laws if law is not None}
     for value in critical:
         axes[0].axhline(value, color=INK, linewidth=0.9, linestyle=":")
     axes[0].set_ylabel("J (J/m²)")

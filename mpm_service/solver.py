@@ -642,7 +642,12 @@ class MaterialPointSolver:
             table[:] = 0.0
         self._table.restore(state)
         self._mapping.points = self._table.points
+        if self.cracks is not None:
+            self.cracks.set_points(self._table.reference)
+            self.cracks.restore(state)
+            self._integration.make_room()
         self._mapping.restore(state)
+        self._integration.strain_velocity[self._mapping.active, : self.body.dimension] = state["strain_velocity"]
         totals = self._integration.totals
         values = [float(v) for v in np.asarray(state["totals"])]
         totals.edge_work, totals.damping_loss, totals.friction_loss = values[:3]
@@ -657,11 +662,6 @@ class MaterialPointSolver:
         self._anchors.velocity[:] = state["anchor_velocity"]
         if self._applied is not None:
             self._applied.set_points(self._table.reference)
-        if self.cracks is not None:
-            self.cracks.set_points(self._table.reference)
-            self.cracks.restore(state)
-            self._integration.make_room()
-        self._integration.strain_velocity[self._mapping.active, : self.body.dimension] = state["strain_velocity"]
 
     # ---- inner -----------------------------------------------------------------------------------------
 

@@ -27,7 +27,7 @@ _RISE = 3e-12
 _WAY = (0.3e-10, 0.2e-10)
 _ANGLE = 2e-3
 _DAMPED = "continuum.damping_rate=6 1/ps"
-_CARRIED = ("run.steps=1000", _DAMPED)
+_CARRIED = ("run.steps=2000", _DAMPED)
 _TURNED = ("run.steps=400", _DAMPED, 'continuum.preload={method = "static", tolerance = 1e-9, max_steps = 20}')
 
 

@@ -104,9 +104,10 @@ class Turned:
         self.velocity = np.broadcast_to(turn @ [speed, 0.0], fields.position.shape)
         # The upper half lies in an overlap: its points stand for more than they carry.
         self.weight = np.where(fields.position[:, 1] > 0.0, 0.3, 1.0)
-        self.strain_energy = self.weight * fields.energy
+        self.stiffness = np.where(fields.position[:, 1] > 0.0, 0.2, 1.0)
+        self.strain_energy = self.stiffness * fields.energy
         self.mass = self.weight * fields.mass
-        self.reference_volume = self.weight * fields.area
+        self.reference_volume = self.stiffness * fields.area
 
 
 def test_what_is_measured_does_not_see_a_rotation_of_the_whole() -> None:

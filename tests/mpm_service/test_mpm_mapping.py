@@ -121,7 +121,7 @@ def test_two_threads_with_irregular_points_agree_with_one(monkeypatch: pytest.Mo
 
 
 def node_masses(solver: MaterialPointSolver) -> np.ndarray:
-    solver._integration.gather_mass()
+    solver._integration.gather_state()
     return solver._integration.nodes.momentum[:, 0]
 
 
