@@ -2,9 +2,25 @@
 
 from __future__ import annotations
 
-from coordinator.verification_cases import full_atomistic, k_field, patch, phonon, stability, swap, theory_1d
+from coordinator.verification_cases import (
+    energy_books,
+    full_atomistic,
+    k_field,
+    momentum,
+    patch,
+    phonon,
+    rigid,
+    stability,
+    swap,
+    theory_1d,
+    wave,
+)
 from protocol.verification import Case
 
 CASES: list[Case] = [
-    case for module in (theory_1d, patch, k_field, phonon, stability, swap, full_atomistic) for case in module.CASES
-]
+    case
+    for module in (
+        theory_1d, patch, rigid, wave, phonon, energy_books, momentum, k_field, stability, full_atomistic, swap,
+    )
+    for case in module.CASES
+]  # fmt: skip
