@@ -42,7 +42,7 @@ def test_dear_case_passes_and_draws(name: str, tmp_path: Path) -> None:
 def test_names_of_cases_are_those_of_the_command_line() -> None:
     assert [f"{case.group}/{case.name}" for case in cases.CASES] == [
         "mpm/beam", "mpm/bar-wave", "mpm/free-vibration", "mpm/edge-crack", "mpm/convergence", "mpm/rigid",
-        "mpm/large-deformation", "mpm/transition", "mpm/stability",
+        "mpm/large-deformation", "mpm/transition", "mpm/stability", "mpm/static",
     ]  # fmt: skip
 
 
