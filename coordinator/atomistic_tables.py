@@ -9,8 +9,6 @@ from pydantic import Field
 from coordinator.table import Count, Name, Table
 from coordinator.units import PositiveLength, PositiveTime, Pressure, Temperature, Time
 
-#: Fields of each atom that a scene may have written.
-ATOM_FIELDS = ("displacement", "velocity", "stress", "energy")
 #: Files of samples end like this; another name is that of a sample that the service holds.
 FILE_ENDINGS = (".data", ".data.gz", ".lmp", ".lmp.gz")
 

@@ -27,9 +27,6 @@ from protocol import atomistic as a
 from protocol import continuum as c
 from protocol.arrays import FloatArray
 
-#: Series of the books, in J; see `coordinator.series`.
-RESIDUALS = ("residual_continuum", "residual_atoms", "residual_interface")
-
 
 @dataclass
 class Books:

@@ -98,7 +98,8 @@ class Exchange:
         self._time_step = time_step
         self._sub_steps = sub_steps
         self._by_ivc = spread == "ivc"
-        self._parallel = parallel
+        # Threads for all services, made once; they wait for replies.
+        self._pool = ThreadPoolExecutor(1 + len(self._regions)) if parallel and regions else None
         self._reference = np.concatenate([np.zeros((0, 3)), *(region.anchor_reference for region in regions)])
         self._moving = any(region.scene.handshake.motion == "linear" for region in regions if region.scene.handshake)
         ends = np.cumsum([0, *(len(region.anchor_reference) for region in regions)])
@@ -123,18 +124,15 @@ class Exchange:
     def advance(self, step: int) -> Exchanged:
         """Make one coupling step; `step` is its number, for errors."""
         before = self._placed
-        if self._parallel and self._regions:
+        if self._pool is not None:
             place = self.anchor_displacement + self._time_step * (2.0 * self.anchor_velocity - self._last_velocity)
             velocity = self.anchor_velocity
-            with ThreadPoolExecutor(1 + len(self._regions)) as pool:
-                waiting = pool.submit(self._advance_continuum, step)
-                atoms = [
-                    future.result()
-                    for future in [
-                        pool.submit(self._advance_atoms, k, place, velocity, step) for k in range(len(self._regions))
-                    ]
-                ]
-                continuum = waiting.result()
+            at_once = self._pool.submit(self._advance_continuum, step)
+            waiting = [
+                self._pool.submit(self._advance_atoms, k, place, velocity, step) for k in range(len(self._regions))
+            ]
+            atoms = [future.result() for future in waiting]
+            continuum = at_once.result()
         else:
             continuum = self._advance_continuum(step)
             place = self.anchor_displacement

@@ -340,6 +340,7 @@ class AtomisticService(Service):
             raise ProtocolError("unsupported", trap, field="type")
         done = self._call("cut", engine.sever, request.from_x, request.to_x, request.y)
         self._record().sever(engine.cuts)
+        self._begin_anew("cut")  # a mean over windows before and after it would be of two bodies
         return messages.Severed(step=engine.step, bonds=done.bonds, energy=done.energy)
 
     # What can be looked at ------------------------------------------------------------------------------------
@@ -389,10 +390,14 @@ class AtomisticService(Service):
             step=engine.step, samples=record.samples, tip=tip, contour=found.contour,
             standard_error=found.contour_error, domain=found.domain, domain_error=found.domain_error,
         )  # fmt: skip
-        if self._collecting:
-            self._call("j_integral", engine.collect_fields, True)
-        self._begin()
+        self._begin_anew("j_integral")
         return reply
+
+    def _begin_anew(self, operation: str) -> None:
+        """Begin new means, here and in the engine."""
+        if self._collecting:
+            self._call(operation, self._configured().collect_fields, True)
+        self._begin()
 
     def _begin(self) -> None:
         """Begin new means of the fields that J is made of."""

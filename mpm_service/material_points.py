@@ -96,11 +96,6 @@ class Body:
         """2 or 3."""
         return int(self.position.shape[1])
 
-    @property
-    def point_size(self) -> float:
-        """Side of the largest point's domain [m]."""
-        return 2.0 * float(self.half.max())
-
     def with_material(self, inside: Callable[[NDArray[np.float64]], NDArray[np.bool_]], number: int) -> Body:
         """Return the body with another material where `inside` of the positions (n, d) is true.
 

@@ -243,6 +243,21 @@ def test_springs_across_the_cut_are_gone_and_their_energy_with_them(tmp_path: Pa
     assert last.broken_bonds == done.bonds + longer.bonds and last.crack_tip == pytest.approx(12 * A)
 
 
+def test_means_begin_anew_with_a_cut(tmp_path: Path) -> None:
+    """J of means over windows before and after a cut would be that of no body."""
+    service = services.make_lattice(tmp_path)
+    register = anchored(service)
+    for _ in range(5):
+        advance(service, register, 0.02)
+    service.cut(a.CutRequest(from_x=-FAR, to_x=0.1 * A, y=0.3 * A))
+    with pytest.raises(ProtocolError, match="no window was collected"):
+        service.j_integral(a.JIntegralRequest(half_sizes=[20 * A]))
+    for _ in range(2):
+        advance(service, register, 0.02)
+    reply = service.j_integral(a.JIntegralRequest(half_sizes=[20 * A]))
+    assert reply.samples < 5  # of the windows after it alone
+
+
 @pytest.mark.parametrize("engine", ["lattice", "lammps"])
 def test_checkpoint_carries_the_cuts(engine: str, tmp_path: Path) -> None:
     make = {"lattice": services.make_lattice, "lammps": services.make_service}[engine]
