@@ -1,0 +1,1 @@
+"""Generalized method of cells behind the role `micromechanics`."""
