@@ -1,0 +1,1 @@
+"""Finite elements for laminates behind the role `structure`."""

@@ -1,0 +1,63 @@
+"""Grips of a tension test, by the symmetries that a laminate has."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fem_service.laminate_mesh import LaminateMesh
+from fem_service.quasi_static import Grips
+
+#: Part of the laminate's extent within which a node lies on a face.
+_ON = 1e-9
+
+
+def tension_grips(mesh: LaminateMesh, *, quarter: bool = False, lower_half: bool = False) -> Grips:
+    """Pull along x: at a load of 1 the two ends part by one metre.
+
+    Parameters
+    ----------
+    mesh : LaminateMesh
+    quarter : bool
+        The mesh is the quarter with x and y above 0, held by its planes of symmetry; its end moves by half a metre.
+    lower_half : bool
+        The mesh is the half below the middle plane, which holds its upper face.
+
+    Returns
+    -------
+    Grips
+        Ends are free to contract; what could still move as a whole is held at single nodes.
+    """
+    nodes = mesh.nodes
+    low, high = nodes.min(axis=0), nodes.max(axis=0)
+    near = _ON * float((high - low).max())
+
+    def on(axis: int, value: float) -> NDArray[np.int64]:
+        return np.flatnonzero(np.abs(nodes[:, axis] - value) <= near)
+
+    held: dict[int, float] = {}
+
+    def hold(which: NDArray[np.int64], axis: int, value: float) -> None:
+        held.update(dict.fromkeys((3 * which + axis).tolist(), value))
+
+    hold(on(0, high[0]), 0, 0.5)
+    hold(on(0, low[0]), 0, 0.0 if quarter else -0.5)
+    if quarter:
+        hold(on(1, low[1]), 1, 0.0)
+    else:
+        # Two corners of one end at the same height: no sliding along y, no turn about z.
+        end = on(0, low[0])
+        corner = end[np.lexsort((nodes[end, 2], nodes[end, 1]))[:1]]
+        hold(corner, 1, 0.0)
+    if lower_half:
+        hold(on(2, high[2]), 2, 0.0)
+    else:
+        ends = on(0, low[0])
+        first = ends[np.lexsort((nodes[ends, 1], nodes[ends, 2]))[:1]]
+        last = ends[np.lexsort((-nodes[ends, 1], nodes[ends, 2]))[:1]]
+        other = on(0, high[0])
+        opposite = other[np.lexsort((nodes[other, 1], nodes[other, 2]))[:1]]
+        for corner in (first, last, opposite):
+            hold(corner, 2, 0.0)
+    freedoms = np.array(sorted(held), dtype=np.int64)
+    return Grips(freedoms, np.array([held[int(freedom)] for freedom in freedoms]))
