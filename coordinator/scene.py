@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import difflib
-import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from types import UnionType
-from typing import Annotated, Any, Union, get_args, get_origin
-
-from pydantic import BaseModel, TypeAdapter, ValidationError
-from pydantic.fields import FieldInfo
+from typing import Any
 
 from coordinator.atomistic_tables import Atomistic
 from coordinator.continuum_tables import Continuum, Edge, Material
 from coordinator.grid_lines import snapped_overlap
-from coordinator.scene_checks import Problem, cross_checks
+from coordinator.scene_checks import cross_checks
+from coordinator.scene_file import SceneError, file_text, problem_line, read_table, validated
 from coordinator.scene_tables import Crack, Handshake, Place, Run, Scene
 from coordinator.table import Corners
-from coordinator.units import Quantity
 
 __all__ = [
     "Atomistic",
@@ -37,22 +31,6 @@ __all__ = [
     "read_scene",
     "snapped_overlap",
 ]
-
-Path_ = tuple[str | int, ...]
-
-
-class SceneError(ValueError):
-    """A scene with mistakes.
-
-    Parameters
-    ----------
-    problems : sequence of str
-        One line per mistake: where, the value, what is allowed.
-    """
-
-    def __init__(self, problems: Sequence[str]) -> None:
-        super().__init__("\n".join(problems))
-        self.problems = tuple(problems)
 
 
 def load_scene(path: str | Path, overrides: Sequence[str] = ()) -> Scene:
@@ -78,17 +56,12 @@ def load_scene(path: str | Path, overrides: Sequence[str] = ()) -> Scene:
         text has one line per mistake, ``FILE: field.path = value: what is allowed``.
     """
     file = Path(path)
-    try:
-        text = file.read_text(encoding="utf-8")
-    except OSError as error:
-        raise SceneError([f"{file}: cannot be read: {error.strerror}"]) from None
-    except UnicodeDecodeError:
-        raise SceneError([f"{file}: is not UTF-8 text"]) from None
+    text = file_text(file)
     scene = read_scene(text, file.stem, overrides, str(file))
     scene._folder = file.resolve().parent
     sample = scene.atomistic.sample if scene.atomistic is not None and scene.atomistic.from_file else None
     if sample is not None and not (scene.folder / sample).is_file():
-        raise SceneError([_line(str(file), ("atomistic", "sample"), {"atomistic": {"sample": sample}},
+        raise SceneError([problem_line(str(file), ("atomistic", "sample"), {"atomistic": {"sample": sample}},
                                 f"there is no such file in {scene.folder}")])  # fmt: skip
     return scene
 
@@ -116,23 +89,7 @@ def read_scene(text: str, name: str, overrides: Sequence[str] = (), file: str = 
     SceneError
         As `load_scene`.
     """
-    try:
-        raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise SceneError([f"{file}: is not TOML: {error}"]) from None
-    lines: list[str] = []
-    overridden: list[Path_] = []
-    for override in overrides:
-        try:
-            overridden.append(_apply(raw, override))
-        except ValueError as error:
-            lines.append(f"--set {override}: {error}")
-    scene, problems = _validate(raw)
-    for where, allowed in problems:
-        from_override = any(where[: len(key)] == key[: len(where)] for key in overridden)
-        lines.append(_line("--set" if from_override else file, where, raw, allowed))
-    if lines or scene is None:
-        raise SceneError(list(dict.fromkeys(lines)))
+    scene = read_table(Scene, cross_checks, text, overrides, file)
     scene._name, scene._text, scene._overrides = name, text, tuple(overrides)
     return scene
 
@@ -145,214 +102,8 @@ def read_resolved(values: dict[str, Any], name: str = "") -> Scene:
     SceneError
         If the values are no scene.
     """
-    scene, problems = _validate(values, si=True)
+    scene, problems = validated(Scene, cross_checks, values, si=True)
     if scene is None:
-        raise SceneError([_line("resolved scene", where, values, allowed) for where, allowed in problems])
+        raise SceneError([problem_line("resolved scene", where, values, allowed) for where, allowed in problems])
     scene._name = name
     return scene
-
-
-def _validate(raw: dict[str, Any], si: bool = False) -> tuple[Scene | None, list[Problem]]:
-    """Return the scene, or None and every problem in it."""
-    context = {"si": si}
-    try:
-        scene = Scene.model_validate(raw, context=context)
-    except ValidationError as error:
-        problems: list[Problem] = [(item["loc"], _allowed(dict(item))) for item in error.errors()]
-        return None, problems + cross_checks(_draft(Scene, raw, context), _tables(raw))
-    problems = cross_checks(scene, _tables(raw))
-    return (None if problems else scene), problems
-
-
-def _tables(raw: Any, path: str = "") -> set[str]:
-    """Return the paths of everything that the file holds, readable or not."""
-    inner = raw.items() if isinstance(raw, dict) else enumerate(raw) if isinstance(raw, list) else ()
-    found: set[str] = set()
-    for key, value in inner:
-        if value is not None:
-            here = f"{path}.{key}" if path else str(key)
-            found |= {here} | _tables(value, here)
-    return found
-
-
-def _apply(raw: dict[str, Any], override: str) -> Path_:
-    """Set one value in `raw` and return its path."""
-    key, equals, text = override.partition("=")
-    parts = key.strip().split(".")
-    if not equals or not all(parts):
-        raise ValueError('must be "key.sub=value"')
-    try:
-        parsed = tomllib.loads(f"value = {text}")
-        value = parsed["value"] if set(parsed) == {"value"} else text.strip()
-    except tomllib.TOMLDecodeError:
-        value = text.strip()
-    path: list[str | int] = []
-    place: Any = raw
-    for depth, part in enumerate(parts):
-        last = depth == len(parts) - 1
-        if isinstance(place, list):
-            if not part.isdecimal() or int(part) >= len(place):
-                where = ".".join(str(step) for step in path)
-                raise ValueError(f"{where} is a list of {len(place)}; {part!r} must be a number below that, from 0")
-            index = int(part)
-            path.append(index)
-            if last:
-                place[index] = value
-            place = place[index]
-        elif isinstance(place, dict):
-            path.append(part)
-            if last:
-                place[part] = value
-            else:
-                place = place.setdefault(part, {})
-        else:
-            raise ValueError(f"{'.'.join(str(step) for step in path)} is a value, not a table")
-    return tuple(path)
-
-
-# --- one line per mistake -------------------------------------------------------------------------
-
-
-def _line(file: str, where: Path_, raw: Any, allowed: str) -> str:
-    """Return ``FILE: field.path = value: what is allowed``."""
-    path = ".".join(str(part) for part in where)
-    value: Any = raw
-    for part in where:
-        try:
-            value = value[part]
-        except (KeyError, IndexError, TypeError):
-            return f"{file}: {path}: {allowed}"
-    if isinstance(value, dict) or (isinstance(value, list) and any(isinstance(item, dict) for item in value)):
-        return f"{file}: {path}: {allowed}"
-    shown = _toml(value)
-    return f"{file}: {path} = {shown if len(shown) <= 80 else shown[:77] + '...'}: {allowed}"
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return f'"{value}"'
-    if isinstance(value, list):
-        return "[" + ", ".join(_toml(item) for item in value) + "]"
-    return str(value)
-
-
-_COMPARISONS = {
-    "greater_than": ("gt", "must be greater than {}"),
-    "greater_than_equal": ("ge", "must be {} or greater"),
-    "less_than": ("lt", "must be less than {}"),
-    "less_than_equal": ("le", "must be {} or less"),
-}
-_KINDS = {
-    "int_type": "must be a whole number",
-    "float_type": "must be a number",
-    "string_type": "must be text",
-    "model_type": "must be a table",
-    "model_attributes_type": "must be a table",
-    "dict_type": "must be a table",
-    "list_type": "must be a list",
-    "tuple_type": "must be a list",
-    "string_too_short": "must not be empty",
-}
-
-
-def _allowed(item: dict[str, Any]) -> str:
-    """Say what is allowed where pydantic found a mistake."""
-    kind, context = item["type"], item.get("ctx", {})
-    if kind == "missing":
-        return f"is missing{_needed(item['loc'])}"
-    if kind == "extra_forbidden":
-        known = list(_table_at(item["loc"][:-1]).model_fields)
-        near = difflib.get_close_matches(str(item["loc"][-1]), known, 1, 0.5)
-        return f"is no key of this table; {f'did you mean {near[0]}?' if near else 'known: ' + ', '.join(known)}"
-    if kind in _COMPARISONS:
-        name, text = _COMPARISONS[kind]
-        return text.format(context[name])
-    if kind == "literal_error":
-        return f"must be one of {context['expected']}"
-    if kind == "too_short":
-        return f"has {context['actual_length']} values, must have at least {context['min_length']}"
-    if kind == "too_long":
-        return f"has {context['actual_length']} values, must have {context['max_length']}"
-    return _KINDS.get(kind, item["msg"])
-
-
-def _needed(where: Path_) -> str:
-    """Describe the field at `where` for a message that it is missing."""
-    if isinstance(where[-1], int):
-        return "; the list is too short"
-    field = _table_at(where[:-1]).model_fields[where[-1]]
-    for item in field.metadata:
-        if isinstance(item, Quantity):
-            return f"; needed: {item.wanted()}"
-    description = field.description
-    return f"; needed: {description.split(',')[0]}" if description else "; it is needed"
-
-
-def _table_at(where: Iterable[str | int]) -> type[BaseModel]:
-    """Return the model of the table at a path."""
-    table: type[BaseModel] = Scene
-    for part in where:
-        if isinstance(part, str):
-            found = _table_of(table.model_fields[part])
-            assert found is not None, where
-            table = found
-    return table
-
-
-def _table_of(field: FieldInfo) -> type[BaseModel] | None:
-    """Return the model that a field holds, alone, optional or in a list."""
-    for kind in (field.annotation, *get_args(field.annotation)):
-        if isinstance(kind, type) and issubclass(kind, BaseModel):
-            return kind
-    return None
-
-
-# --- drafts for the checks between fields ---------------------------------------------------------
-
-
-class _Draft:
-    """Stands for a table of which some fields could not be read; those are None."""
-
-    def __init__(self, table: type[BaseModel], values: dict[str, Any]) -> None:
-        self.__dict__.update(values)
-        self._table = table
-
-    def __getattr__(self, name: str) -> Any:
-        # Properties of the table (axis, first_velocity) are computed from the draft's values.
-        found = getattr(self._table, name)
-        if isinstance(found, property) and found.fget is not None:
-            return found.fget(self)
-        raise AttributeError(name)
-
-
-def _draft(table: type[BaseModel], raw: Any, context: dict[str, Any]) -> Any:
-    """Read what can be read of a table; None where it is no table."""
-    if not isinstance(raw, dict):
-        return None
-    values: dict[str, Any] = {}
-    for name, field in table.model_fields.items():
-        inner = _table_of(field)
-        if name not in raw:
-            values[name] = None if field.is_required() else field.get_default(call_default_factory=True)
-        elif inner is not None and not _is_list(field):
-            values[name] = _draft(inner, raw[name], context)
-        elif inner is not None:
-            items = raw[name] if isinstance(raw[name], list) else []
-            drafts = [_draft(inner, item, context) for item in items]
-            # A list with an item that is no table is left out: numbers of items would no longer fit.
-            values[name] = None if any(draft is None for draft in drafts) else drafts
-        else:
-            try:
-                annotated: Any = Annotated[field.annotation, field]
-                adapter: TypeAdapter[Any] = TypeAdapter(annotated)
-                values[name] = adapter.validate_python(raw[name], context=context)
-            except ValidationError:
-                values[name] = None
-    return _Draft(table, values)
-
-
-def _is_list(field: FieldInfo) -> bool:
-    kinds = get_args(field.annotation) if get_origin(field.annotation) in (Union, UnionType) else ()
-    return any(get_origin(kind) is list for kind in (field.annotation, *kinds))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from fem_service.layup import read_layup
+from coordinator.layup import read_layup
 
 
 @pytest.mark.parametrize(
