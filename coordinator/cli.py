@@ -87,11 +87,15 @@ def run(
     keys: Path | None,
 ) -> None:
     """Run a scene; leaves results.h5, summary.json and report.html in the folder of the run."""
-    from coordinator.run import run_scene
+    from coordinator.scene_kind import is_laminate
 
     folder = out or Path("runs") / scene.stem
     where = _pairs("--attach", attached)
-    sys.exit(run_scene(scene, folder, resume=resume, overrides=overrides, attached=where, keys=keys))
+    if is_laminate(scene):
+        from coordinator.laminate_run import run_laminate as start
+    else:
+        from coordinator.run import run_scene as start
+    sys.exit(start(scene, folder, resume=resume, overrides=overrides, attached=where, keys=keys))
 
 
 @cli.command()
@@ -112,6 +116,14 @@ def compare(scene: Path, full_atomistic: bool, out: Path | None, overrides: tupl
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change a value of the scene.")
 def check(scene: Path, overrides: tuple[str, ...]) -> None:
     """Validate a scene; say what would start, sizes, time steps and the estimated cost."""
+    from coordinator.scene_kind import is_laminate
+
+    if is_laminate(scene):
+        from coordinator.laminate_check import describe_laminate
+        from coordinator.laminate_scene import load_laminate
+
+        click.echo(describe_laminate(load_laminate(scene, overrides)))
+        return
     from coordinator.check import describe
     from coordinator.scene import load_scene
 
@@ -123,6 +135,8 @@ def check(scene: Path, overrides: tuple[str, ...]) -> None:
 @click.option("--backend", help="Name of the backend. Default: the first of the role.")
 @click.option("--bind", "endpoint", default="tcp://127.0.0.1:*", show_default=True, metavar="ENDPOINT")
 @click.option("--ranks", type=click.IntRange(1), default=1, show_default=True, help="MPI ranks.")
+@click.option("--workers", type=click.IntRange(1), help="Processes that share each query (micromechanics).")
+@click.option("--executor", metavar="dask://HOST:PORT", help="Cluster that shares each query (micromechanics).")
 @click.option("--keys", type=DIRECTORY, help="Folder with keys; turns CURVE on.")
 @click.option("--insecure-public", is_flag=True, help="Bind an address beyond this machine without keys.")
 @click.option("--max-message-bytes", type=click.IntRange(1 << 12), default=1 << 30, show_default=True)
@@ -133,18 +147,20 @@ def serve(
     backend: str | None,
     endpoint: str,
     ranks: int,
+    workers: int | None,
+    executor: str | None,
     keys: Path | None,
     insecure_public: bool,
     max_message_bytes: int,
     folder: Path,
     parent: int | None,
 ) -> None:
-    """Serve a ROLE: continuum or atomistic."""
+    """Serve a ROLE: continuum, atomistic, micromechanics or structure."""
     from coordinator.serve import serve_role
 
     serve_role(
         role, backend, endpoint, ranks=ranks, keys=keys, insecure_public=insecure_public,
-        max_message_bytes=max_message_bytes, folder=folder, parent=parent,
+        max_message_bytes=max_message_bytes, folder=folder, parent=parent, workers=workers, executor=executor,
     )  # fmt: skip
 
 
@@ -155,7 +171,7 @@ def backends() -> None:
 
     for backend in sorted(installed().values(), key=lambda one: (one.role, one.name)):
         parallel = "serial and MPI" if backend.launcher else "one process"
-        click.echo(f"{backend.role:<12} {backend.name:<14} {backend.summary} ({parallel})")
+        click.echo(f"{backend.role:<14} {backend.name:<14} {backend.summary} ({parallel})")
 
 
 @cli.command()
@@ -185,9 +201,13 @@ def keys(folder: Path) -> None:
 @click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
 def report(folder: Path) -> None:
     """Make report.html again from the results in FOLDER."""
-    from coordinator.report import make_report
+    from coordinator.scene_kind import holds_laminate
 
-    click.echo(make_report(folder))
+    if holds_laminate(folder):
+        from coordinator.laminate_report import make_laminate_report as make
+    else:
+        from coordinator.report import make_report as make
+    click.echo(make(folder))
 
 
 @cli.command()

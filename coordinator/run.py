@@ -69,22 +69,36 @@ def run_scene(
         Before anything has started.
     """
     scene = load_scene(scene_path, overrides)
-    words = ["scalebridge", "run", str(scene_path), "--out", str(folder)]
-    for override in overrides:
-        words += ["--set", override]
-    for role, endpoint in (attached or {}).items():
-        words += ["--attach", f"{role}={endpoint}"]
-    if keys is not None:
-        words += ["--keys", str(keys)]
     for wanted in _wanted(scene):
         if wanted.name not in (attached or {}):
             find(wanted.role, wanted.backend).launch_words(wanted.ranks)
-    run = Run(scene, folder, attached or {}, keys, console or Console(stderr=True), shlex.join(words))
+    run = Run(
+        scene,
+        folder,
+        attached or {},
+        keys,
+        console or Console(stderr=True),
+        command_line(scene_path, folder, overrides, attached or {}, keys),
+    )
     if resume:
         run.load_checkpoint()
     else:
         set_aside(folder)
     return run.execute()
+
+
+def command_line(
+    scene_path: Path, folder: Path, overrides: Sequence[str], attached: dict[str, str], keys: Path | None
+) -> str:
+    """Return the command that repeats a run."""
+    words = ["scalebridge", "run", str(scene_path), "--out", str(folder)]
+    for override in overrides:
+        words += ["--set", override]
+    for role, endpoint in attached.items():
+        words += ["--attach", f"{role}={endpoint}"]
+    if keys is not None:
+        words += ["--keys", str(keys)]
+    return shlex.join(words)
 
 
 class Wanted(NamedTuple):
@@ -157,7 +171,7 @@ class Run:
                 raise
             self._console.print(f"{error}: the run starts anew")
             return
-        changed = _differences(header["scene"], self.scene.model_dump(mode="json"))
+        changed = differences(header["scene"], self.scene.model_dump(mode="json"))
         changed -= {"run.steps", "run.stop_after_crack_growth"}
         if changed:
             raise RunError(
@@ -186,7 +200,7 @@ class Run:
                 sentence = f"stopped; go on with: {resume_command}"
             except (ServiceDied, ConnectionProblem, ProtocolError) as error:
                 code = 1
-                sentence = f"failed after coupling step {output.step}: {_guilty(error, services)}"
+                sentence = f"failed after coupling step {output.step}: {guilty(error, services)}"
                 if self._state_step >= 0:
                     sentence += f"\nresults up to step {output.step} are in {self.folder}"
                     # A solver that failed would fail again: a run goes on exactly as before.
@@ -214,7 +228,7 @@ class Run:
     # --- the run itself ----------------------------------------------------------------------------------
 
     def _run(self, services: Services, output: RunOutput, interruption: Interruption) -> None:
-        with _progress(self._console) as progress:
+        with progress_bar(self._console) as progress:
             task = progress.add_task("start services", total=None)
 
             def tell(text: str) -> None:
@@ -368,7 +382,7 @@ def _computing(services: Services) -> dict[str, float]:
     return {role: client.timing.computing for role, client in services.clients.items()}
 
 
-def _guilty(error: Exception, services: Services) -> str:
+def guilty(error: Exception, services: Services) -> str:
     """Return the failure in words; a dead process is named before the error that its end caused elsewhere."""
     if isinstance(error, ConnectionProblem):
         # The link breaks a moment before the process can be seen as ended.
@@ -383,17 +397,17 @@ def _guilty(error: Exception, services: Services) -> str:
     return str(error)
 
 
-def _differences(one: Any, other: Any, path: str = "") -> set[str]:
+def differences(one: Any, other: Any, path: str = "") -> set[str]:
     """Return the paths at which two trees of plain values differ."""
     if isinstance(one, dict) and isinstance(other, dict):
         found: set[str] = set()
         for key in one.keys() | other.keys():
-            found |= _differences(one.get(key), other.get(key), f"{path}.{key}" if path else key)
+            found |= differences(one.get(key), other.get(key), f"{path}.{key}" if path else key)
         return found
     return set() if one == other else {path}
 
 
-def _progress(console: Console) -> Progress:
+def progress_bar(console: Console) -> Progress:
     return Progress(
         TextColumn("{task.description}"), BarColumn(bar_width=12), TextColumn("{task.percentage:>3.0f} %"),
         TimeRemainingColumn(compact=True), console=console,

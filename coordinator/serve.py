@@ -24,11 +24,13 @@ def serve_role(
     max_message_bytes: int,
     folder: Path,
     parent: int | None,
+    workers: int | None = None,
+    executor: str | None = None,
 ) -> None:
     """Serve a role until a client asks to shut down, or SIGINT or SIGTERM comes.
 
     With several ranks, this process becomes the launcher of the ranks, each of which runs this function
-    again with one rank.
+    again with one rank. With workers or an executor, it becomes the front of processes that share its work.
 
     Raises
     ------
@@ -48,7 +50,12 @@ def serve_role(
         # From here on, and on every rank: a service that is still being made, or follows rank 0, has no server.
         end_with(parent)
     folder.mkdir(parents=True, exist_ok=True)
-    service = backend.make(folder)
+    if workers is None and executor is None:
+        service = backend.make(folder)
+    else:
+        words = [sys.executable, "-m", "coordinator.cli", "serve", role, "--backend", backend.name]
+        limit = ["--max-message-bytes", str(max_message_bytes)]
+        service = backend.make_front(folder, [*words, *limit], workers, executor)
     server = Server(
         service, endpoint, keys=keys, insecure_public=insecure_public, max_message_bytes=max_message_bytes
     )  # fmt: skip

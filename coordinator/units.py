@@ -1,94 +1,14 @@
-"""Quantities with units in scene files, converted to SI floats.
-
-pint takes 0.3 s to import, so it is imported at the first conversion and never by `import`.
-"""
+"""Quantities with units as fields of scene files, and SI values in the units in which people read them."""
 
 from __future__ import annotations
 
-import math
-import re
 from dataclasses import dataclass
-from functools import cache
 from typing import Annotated, Any, Literal
 
 from pydantic import GetCoreSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
-#: SI unit and an example for each dimension that a scene knows.
-DIMENSIONS: dict[str, tuple[str, str]] = {
-    "length": ("m", "5 angstrom"),
-    "time": ("s", "0.5 fs"),
-    "temperature": ("K", "300 K"),
-    "pressure": ("Pa", "800 GPa"),
-    "force": ("N", "0.1 nN"),
-    "stiffness": ("N/m", "20 eV/angstrom^2"),
-    "rate": ("1/s", "0.1 1/ps"),
-    "density": ("kg/m^3", "2.2 g/cm^3"),
-    "velocity": ("m/s", "10 m/s"),
-    "acceleration": ("m/s^2", "-9.81 m/s^2"),
-    "angle": ("rad", "30 degree"),
-    "energy per area": ("J/m^2", "10 J/m^2"),
-    "stress intensity": ("Pa m^0.5", "2 MPa m^0.5"),
-}
-
-_NUMBER_AND_UNIT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
-
-
-@cache
-def _registry() -> Any:
-    import pint
-
-    return pint.UnitRegistry()
-
-
-def to_si(text: str, dimension: str) -> float:
-    """Convert a number with a unit to SI.
-
-    Parameters
-    ----------
-    text : str
-        A number followed by a unit, for example ``"2.5 angstrom"``.
-    dimension : str
-        A key of `DIMENSIONS`.
-
-    Returns
-    -------
-    float
-        The value in the SI unit of the dimension.
-
-    Raises
-    ------
-    ValueError
-        If the text is no number with a unit, the unit is unknown, or it is of another dimension.
-
-    Examples
-    --------
-    >>> to_si("2 ps", "time")
-    2e-12
-    """
-    si_unit, example = DIMENSIONS[dimension]
-    wanted = f'must be a {dimension} with its unit, such as "{example}"'
-    match = _NUMBER_AND_UNIT.fullmatch(text)
-    if match is None:
-        raise ValueError(f"{wanted}; this is no number with a unit")
-    number, unit = match.groups()
-    if not unit:
-        raise ValueError(f"{wanted}; the unit is missing")
-    if unit.startswith("/"):
-        unit = "1" + unit
-    registry = _registry()
-    try:
-        parsed = registry.parse_units(unit)
-    except Exception:  # pint raises its own kinds, ValueError, AttributeError and tokenizer errors alike
-        raise ValueError(f"{wanted}; the unit {unit!r} is unknown") from None
-    try:
-        value = float(registry.Quantity(float(number), parsed).to(si_unit).magnitude)
-    except Exception:  # DimensionalityError, and OverflowError of an absurd exponent
-        hint = " (A is ampere; write angstrom)" if dimension == "length" and re.search(r"\bA\b", unit) else ""
-        raise ValueError(f"{wanted}; the unit {unit!r} is none of {dimension}{hint}") from None
-    if not math.isfinite(value):
-        raise ValueError(f"{wanted}; the number is too large")
-    return value
+from protocol.quantities import to_si, wanted
 
 
 @dataclass(frozen=True)
@@ -101,7 +21,7 @@ class Quantity:
     Parameters
     ----------
     dimension : str
-        A key of `DIMENSIONS`.
+        A key of `protocol.quantities.DIMENSIONS`.
     sign : {"any", "zero", "positive"}
         Lower limit: none, zero allowed, or greater than zero.
     """
@@ -111,7 +31,7 @@ class Quantity:
 
     def wanted(self) -> str:
         """Say what is wanted, with an example."""
-        return f'a {self.dimension} with its unit, such as "{DIMENSIONS[self.dimension][1]}"'
+        return wanted(self.dimension)
 
     def read(self, value: Any, info: core_schema.ValidationInfo) -> float:
         """Return `value` in SI, or raise a pydantic error that says what is allowed."""

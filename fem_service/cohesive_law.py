@@ -9,7 +9,7 @@ all three directions the mix is B = sliding^2 / opening^2, opening the norm of s
     final     d_f = 2 G_c(B) / (K d_i),    G_c = G_Ic + (G_IIc - G_Ic) B^alpha
     damage    d*  = d_f (d - d_i) / (d (d_f - d_i)), which never falls
 
-Closed faces press against each other with the undamaged stiffness.
+Closed faces press against each other with the undamaged stiffness; faces that just touch are free to part.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def separate(law, normal, opening, relaxation, before, after, traction, tangent)
     traction : ndarray of float, shape (3,)
         Filled: on the upper face, against the opening, Pa.
     tangent : ndarray of float, shape (3, 3)
-        Filled: derivative of the traction at constant mix, Pa/m.
+        Filled: derivative of the traction, with the change of the mix, Pa/m. Not symmetric where damage grows.
     """
     stiffness = law[0]
     along = opening[0] * normal[0] + opening[1] * normal[1] + opening[2] * normal[2]
@@ -108,21 +108,29 @@ def separate(law, normal, opening, relaxation, before, after, traction, tangent)
     for i in range(3):
         sliding += (opening[i] - along * normal[i]) ** 2
     size = np.sqrt(positive * positive + sliding)
-    damage, slope = 0.0, 0.0
+    mix, damage, slope, by_mix = 0.0, 0.0, 0.0, 0.0
     if size > 0.0:
         mix = sliding / (size * size)
         onset = 1.0 / (stiffness * np.sqrt((1.0 - mix) / law[1] ** 2 + mix / law[2] ** 2))
-        final = 2.0 * (law[3] + (law[4] - law[3]) * mix ** law[5]) / (stiffness * onset)
+        toughness = law[3] + (law[4] - law[3]) * mix ** law[5]
+        final = 2.0 * toughness / (stiffness * onset)
         if size >= final:
             damage = 1.0
         elif size > onset:
             damage = final * (size - onset) / (size * (final - onset))
             slope = final * onset / (size * size * (final - onset))
-    if damage <= before[0]:
-        damage, slope = before[0], 0.0
+            onset_by_mix = -0.5 * stiffness**2 * onset**3 * (1.0 / law[2] ** 2 - 1.0 / law[1] ** 2)
+            toughness_by_mix = (law[4] - law[3]) * law[5] * max(mix, 1e-12) ** (law[5] - 1.0)
+            final_by_mix = final * (toughness_by_mix / toughness - onset_by_mix / onset)
+            by_mix = (onset_by_mix * final * (size - final) - final_by_mix * onset * (size - onset)) / (
+                size * (final - onset) ** 2
+            )
+    if damage < before[0]:  # where it is the same, damage is about to go on
+        damage, slope, by_mix = before[0], 0.0, 0.0
     after[0] = damage
     after[1] = before[1] + relaxation * (damage - before[1])
     slope *= relaxation
+    by_mix *= relaxation
     left = 1.0 - after[1]
     for i in range(3):
         slide = opening[i] - along * normal[i]
@@ -130,10 +138,12 @@ def separate(law, normal, opening, relaxation, before, after, traction, tangent)
         for j in range(3):
             both = normal[i] * normal[j]
             tangent[i, j] = stiffness * (
-                left * ((1.0 if i == j else 0.0) - both) + (left if along > 0.0 else 1.0) * both
+                left * ((1.0 if i == j else 0.0) - both) + (left if along >= 0.0 else 1.0) * both
             )
             if slope > 0.0:
                 # Both directions in which damage acts: sliding, and opening if it is positive.
                 one = slide + positive * normal[i]
-                other = opening[j] - along * normal[j] + positive * normal[j]
-                tangent[i, j] -= stiffness * slope / size * one * other
+                other_slide = opening[j] - along * normal[j]
+                other = other_slide + positive * normal[j]
+                mix_by_opening = 2.0 * (other_slide - mix * other) / (size * size)
+                tangent[i, j] -= stiffness * one * (slope / size * other + by_mix * mix_by_opening)

@@ -25,14 +25,15 @@ class Separation:
     ----------
     traction : ndarray of float, shape (elements, 4, 3)
         On the upper face, against the opening, Pa.
-    tangent : ndarray of float, shape (elements, 4, 3, 3)
-        Pa/m.
+    tangent, secant : ndarray of float, shape (elements, 4, 3, 3)
+        Derivative of the traction, and traction = secant times opening; Pa/m.
     damage : ndarray of float, shape (elements, 4, 2)
         Damage and its viscous follower.
     """
 
     traction: NDArray[np.float64]
     tangent: NDArray[np.float64]
+    secant: NDArray[np.float64]
     damage: NDArray[np.float64]
 
 
@@ -109,7 +110,14 @@ class CohesiveLayers:
         after, traction = np.empty_like(damage), np.empty_like(openings)
         tangent = np.empty((*openings.shape, 3))
         _separate_all(self.law.constants(), self.normals, openings, relaxation, damage, after, traction, tangent)
-        return Separation(traction, tangent, after)
+        return Separation(traction, tangent, self._secants(openings, after), after)
+
+    def _secants(self, openings: NDArray[np.float64], damage: NDArray[np.float64]) -> NDArray[np.float64]:
+        left = 1.0 - damage[:, :, 1, None, None]
+        both = self.normals[:, :, :, None] * self.normals[:, :, None, :]
+        closed = np.einsum("epi,epi->ep", openings, self.normals)[:, :, None, None] < 0.0
+        secant: NDArray[np.float64] = self.law.stiffness * (left * np.eye(3) + np.where(closed, 1.0 - left, 0.0) * both)
+        return secant
 
     def forces(self, traction: NDArray[np.float64]) -> NDArray[np.float64]:
         """Forces with which the layers hold their nodes, shape (elements, 24), N."""
@@ -125,6 +133,13 @@ class CohesiveLayers:
             stiffness[:, low, low] = stiffness[:, high, high] = own
             stiffness[:, low, high] = stiffness[:, high, low] = -own
         return stiffness
+
+    def overstress(self, openings: NDArray[np.float64], damage: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Traction that is there only because damage follows slowly, shape (elements, 4, 3), Pa."""
+        along = np.einsum("epi,epi->ep", openings, self.normals)
+        acting = openings - np.minimum(along, 0.0)[:, :, None] * self.normals
+        late: NDArray[np.float64] = self.law.stiffness * (damage[:, :, 0] - damage[:, :, 1])[:, :, None] * acting
+        return late
 
     def energy(self, separation: Separation, openings: NDArray[np.float64]) -> float:
         """Elastic energy that the layers hold, J."""

@@ -4,10 +4,18 @@ An increment ends in equilibrium with all that has failed in it. Within it the e
 the tangents that the material answers: what fails for good stays failed from one iteration to the next, so a sudden
 death of some points unloads onto others, which may fail in turn, until none does. History that can go either way (a
 plastic strain, a softening) always starts from the end of the last increment.
+
+Where a step goes too far although nothing new has failed for good (cohesive layers, softening), a line search shortens
+it until the work of the forces out of balance along the step is small. Iterations with consistent tangents take turns
+with iterations with the secant stiffness of the layers: where layers soften at the front of a crack, consistent
+tangents alone can go to and fro between growing and resting damage for ever.
 """
 
 from __future__ import annotations
 
+import contextlib
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,10 +26,16 @@ from fem_service.cohesive_law import CohesiveLaw
 from fem_service.cohesive_layer import CohesiveLayers, Separation
 from fem_service.hexahedron import POINTS, Hexahedra
 from fem_service.laminate_mesh import LaminateMesh
+from fem_service.lever import Lever
 from fem_service.ply_axes import strain_to_ply
 from fem_service.point_material import PointAnswer, PointMaterial, PointState
 from fem_service.sparse_assembly import SparsePattern
 from fem_service.sparse_solution import HeldSystem
+
+#: A step is shortened, at most so often, while the work along it is above this part of that at its start.
+_SLACK, _SHORTENED = 0.5, 4
+#: Iterations with consistent tangents, and then with secant stiffness of the layers, in turn.
+_TURN = 6
 
 
 class NotConverged(Exception):
@@ -64,7 +78,10 @@ class Equilibrium:
     iterations : int
         Solutions that it took.
     residual : float
-        Largest force out of balance at a free node, over the largest at any.
+        Largest force out of balance at a free node, over the largest at any; where grips and levers feel next to
+        nothing, over 1e-4 of the largest force of an element.
+    viscous_energy : float
+        That the viscosity of the cohesive layers has taken so far, J.
     """
 
     load: float
@@ -75,6 +92,16 @@ class Equilibrium:
     force: float
     iterations: int
     residual: float
+    viscous_energy: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Aim:
+    """Where an increment goes, and from where."""
+
+    start: Equilibrium
+    load: float
+    relaxation: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +112,7 @@ class _Response:
     stress: NDArray[np.float64]
     separation: Separation | None
     force: NDArray[np.float64]
+    largest: float  # by which a force out of balance is judged
 
 
 class QuasiStatic:
@@ -98,12 +126,26 @@ class QuasiStatic:
     grips : Grips
     law : CohesiveLaw, optional
         Of the cohesive layers, where the mesh has some.
+    lever : Lever, optional
+        Pulls beside the grips, or where these only hold.
     mean_dilatation : bool
         See `fem_service.hexahedron`.
     tolerance : float
         On `Equilibrium.residual`.
     iterations : int
         After which an increment is given up.
+    viscosity : float
+        Load over which the damage of the cohesive layers follows its own value: with an increment d of the load it goes
+        d / (d + viscosity) of the way. 0 for none. What it takes is `Equilibrium.viscous_energy`.
+
+    Attributes
+    ----------
+    element_length : ndarray of float, shape (8 bricks,)
+        Length over which the brick of each integration point smears a crack, m.
+    watch : callable
+        Called with the number of each iteration; may raise to end it.
+    seconds : dict of str to float
+        Spent in assembly and solution; whoever reads it may clear it.
 
     Raises
     ------
@@ -118,10 +160,14 @@ class QuasiStatic:
         grips: Grips,
         *,
         law: CohesiveLaw | None = None,
+        lever: Lever | None = None,
         mean_dilatation: bool = False,
         tolerance: float = 1e-8,
         iterations: int = 100,
+        viscosity: float = 0.0,
     ) -> None:
+        if not viscosity >= 0.0:
+            raise ValueError(f"viscosity is {viscosity}; it must be at least 0")
         if len(mesh.layers) and law is None:
             raise ValueError("law is missing; the mesh has cohesive layers")
         self.mesh = mesh
@@ -129,13 +175,26 @@ class QuasiStatic:
         self.grips = grips
         self.tolerance = tolerance
         self.iterations = iterations
+        self.viscosity = viscosity
         self.bricks = Hexahedra(mesh.nodes, mesh.bricks, mean_dilatation=mean_dilatation)
         self.layers = CohesiveLayers(mesh.nodes, mesh.layers, law) if law is not None and len(mesh.layers) else None
-        groups = [mesh.bricks] if self.layers is None else [mesh.bricks, mesh.layers]
+        self.lever = lever
+        groups = [mesh.bricks]
+        if self.layers is not None:
+            groups.append(mesh.layers)
+        if lever is not None:
+            groups.append(lever.elements())
         self._pattern = SparsePattern(groups, len(mesh.nodes))
         self._system = HeldSystem(self._pattern.size, grips.freedoms)
         self._turns = np.array([strain_to_ply(angle) for angle in mesh.angles])
         self.element_length = self._lengths()
+        self.watch: Callable[[int], None] = lambda iteration: None
+        self.seconds: dict[str, float] = {}
+
+    @property
+    def unknowns(self) -> int:
+        """Degrees of freedom that are solved for."""
+        return len(self._system.free)
 
     @property
     def factorisations(self) -> int:
@@ -167,23 +226,36 @@ class QuasiStatic:
         displacement = start.displacement.reshape(-1).copy()
         points = start.points
         target = load * self.grips.per_load
-        first = True
+        aim = _Aim(start, load, self._relaxation(load - start.load))
+        step: NDArray[np.float64] | None = None
+        slope = 0.0
         for iteration in range(1, self.iterations + 1):
-            response = self._respond(displacement, points, start)
+            self.watch(iteration)
+            response = self._respond(displacement, points, aim)
+            if step is not None and iteration > 2:
+                displacement, response = self._shortened(displacement, step, slope, response, points, aim)
             # What failed for good stays; the rest of the state is that of the last increment.
             points = replace(start.points, failed=response.answer.state.failed)
-            out = self._out_of_balance(response.force)
-            if not first and out <= self.tolerance:
-                return self._equilibrium(load, displacement, response, iteration, out)
-            matrix = self._matrix(response)
+            out = self._out_of_balance(response)
+            if step is not None and out <= self.tolerance:
+                return self._equilibrium(aim, displacement, response, iteration, out)
+            with self._timed("assembly"):
+                matrix = self._matrix(response, secant=(iteration - 1) // _TURN % 2 == 1)
             right = -response.force
-            if first:
+            if step is None:
                 jump = np.zeros_like(displacement)
                 jump[self.grips.freedoms] = target - displacement[self.grips.freedoms]
                 right -= matrix @ jump
                 displacement += jump
-            displacement += self._system.solve(matrix, right)
-            first = False
+            with self._timed("solution"):
+                try:
+                    step = self._system.solve(matrix, right)
+                except ValueError as error:
+                    if iteration == 1 and start.load == 0.0:
+                        raise  # not held well enough, whatever the increment
+                    raise NotConverged(f"no equilibrium at load {load:g}: {error}") from None
+            slope = -float(step @ right)
+            displacement = displacement + step
             if not np.isfinite(displacement).all():
                 break
         raise NotConverged(
@@ -191,7 +263,46 @@ class QuasiStatic:
             "largest force"
         )
 
-    def _respond(self, displacement: NDArray[np.float64], points: PointState, start: Equilibrium) -> _Response:
+    def _relaxation(self, increment: float) -> float:
+        return abs(increment) / (abs(increment) + self.viscosity) if self.viscosity else 1.0
+
+    def _shortened(
+        self,
+        displacement: NDArray[np.float64],
+        step: NDArray[np.float64],
+        slope: float,
+        response: _Response,
+        points: PointState,
+        aim: _Aim,
+    ) -> tuple[NDArray[np.float64], _Response]:
+        """The step that led to a displacement, shortened where it went too far; `slope` is the work at its start."""
+        whole, low, high = 1.0, 0.0, 1.0
+        work_low, work_high = slope, float(step @ response.force)
+        for _ in range(_SHORTENED):
+            sudden = not np.array_equal(response.answer.state.failed, points.failed)
+            if slope >= 0.0 or sudden or abs(work_high) <= _SLACK * abs(slope) or work_high < 0.0:
+                break
+            # Between `low` and `high` the work changes its sign.
+            part = low + (high - low) * min(max(work_low / (work_low - work_high), 0.1), 0.9)
+            moved = displacement + (part - whole) * step
+            found = self._respond(moved, points, aim)
+            work = float(step @ found.force)
+            displacement, response, whole = moved, found, part
+            if work < 0.0:
+                if abs(work) <= _SLACK * abs(slope):
+                    break
+                low, work_low = part, work
+            else:
+                high, work_high = part, work
+        return displacement, response
+
+    @contextlib.contextmanager
+    def _timed(self, part: str) -> Iterator[None]:
+        began = time.perf_counter()
+        yield
+        self.seconds[part] = self.seconds.get(part, 0.0) + time.perf_counter() - began
+
+    def _respond(self, displacement: NDArray[np.float64], points: PointState, aim: _Aim) -> _Response:
         nodal = displacement.reshape(-1, 3)
         strain = self.bricks.strains(nodal)
         turns = self._turns[self.mesh.ply]
@@ -201,15 +312,24 @@ class QuasiStatic:
         forces = [self.bricks.forces(stress)]
         separation = None
         if self.layers is not None:
-            separation = self.layers.respond(self.layers.openings(nodal), start.layers)
+            separation = self.layers.respond(self.layers.openings(nodal), aim.start.layers, aim.relaxation)
             forces.append(self.layers.forces(separation.traction))
-        return _Response(answer, stress, separation, self._pattern.vector(forces))
+        if self.lever is not None:
+            forces.append(self.lever.forces(nodal, aim.load))
+        force = self._pattern.vector(forces)
+        largest = max(float(np.abs(force).max()), 1e-4 * max(float(np.abs(part).max(initial=0.0)) for part in forces))
+        if self.lever is not None:
+            largest = max(largest, float(np.abs(forces[-1]).max()))
+        return _Response(answer, stress, separation, force, largest)
 
-    def _matrix(self, response: _Response) -> scipy.sparse.csc_matrix:
+    def _matrix(self, response: _Response, *, secant: bool) -> scipy.sparse.csc_matrix:
         table, index = self._turned(response.answer)
         stiffnesses = [self.bricks.stiffnesses(table, index)]
         if self.layers is not None and response.separation is not None:
-            stiffnesses.append(self.layers.stiffnesses(response.separation.tangent))
+            separation = response.separation
+            stiffnesses.append(self.layers.stiffnesses(separation.secant if secant else separation.tangent))
+        if self.lever is not None:
+            stiffnesses.append(self.lever.stiffnesses())
         return self._pattern.matrix(stiffnesses)
 
     def _turned(self, answer: PointAnswer) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -221,24 +341,42 @@ class QuasiStatic:
         index = answer.index.reshape(-1, POINTS) + count * which[self.mesh.ply][:, None]
         return np.ascontiguousarray(table), np.ascontiguousarray(index)
 
-    def _out_of_balance(self, force: NDArray[np.float64]) -> float:
-        largest = float(np.abs(force).max())
-        return float(np.abs(force[self._system.free]).max(initial=0.0)) / largest if largest > 0.0 else 0.0
+    def _out_of_balance(self, response: _Response) -> float:
+        worst = float(np.abs(response.force[self._system.free]).max(initial=0.0))
+        return worst / response.largest if response.largest > 0.0 else 0.0
 
     def _equilibrium(
-        self, load: float, displacement: NDArray[np.float64], response: _Response, iterations: int, residual: float
+        self,
+        aim: _Aim,
+        displacement: NDArray[np.float64],
+        response: _Response,
+        iterations: int,
+        residual: float,
     ) -> Equilibrium:
         separation = response.separation
+        nodal = displacement.reshape(-1, 3).copy()
+        force = float(response.force[self.grips.freedoms] @ self.grips.per_load)
+        if self.lever is not None:
+            force += self.lever.force(nodal, aim.load)
         return Equilibrium(
-            load=load,
-            displacement=displacement.reshape(-1, 3).copy(),
+            load=aim.load,
+            displacement=nodal,
             stress=response.stress,
             points=response.answer.state,
             layers=np.zeros((0, 4, 2)) if separation is None else separation.damage,
-            force=float(response.force[self.grips.freedoms] @ self.grips.per_load),
+            force=force,
             iterations=iterations,
             residual=residual,
+            viscous_energy=aim.start.viscous_energy + self._viscous(aim.start, nodal, separation),
         )
+
+    def _viscous(self, start: Equilibrium, displacement: NDArray[np.float64], separation: Separation | None) -> float:
+        """Work of the layers' overstress in an increment, by the trapezoidal rule, J."""
+        if self.layers is None or separation is None or not self.viscosity:
+            return 0.0
+        before, after = self.layers.openings(start.displacement), self.layers.openings(displacement)
+        mean = 0.5 * (self.layers.overstress(before, start.layers) + self.layers.overstress(after, separation.damage))
+        return float(np.einsum("ep,epi,epi->", self.layers.areas, mean, after - before))
 
     def _lengths(self) -> NDArray[np.float64]:
         """Edge of a square of the area that a brick has in the plane, for each of its points, m.

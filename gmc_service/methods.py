@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import importlib
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from gmc_service.homogenised import Homogenise
+if TYPE_CHECKING:  # the command line reads the names for its help, without numpy
+    from gmc_service.homogenised import Homogenise
 
 #: Module of each method; imported when it is asked for, since one needs a sparse solver and another a compiler.
 METHODS: Final[dict[str, str]] = {

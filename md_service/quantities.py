@@ -1,28 +1,16 @@
 """Options of commands that are quantities with a unit, such as ``"52 angstrom"``, read as SI numbers.
 
-The same rule as in scene files: a bare number where a unit is due is an error. pint takes 0.3 s to import, so it is
-imported at the first conversion.
+The same rule as in scene files: a bare number where a unit is due is an error.
 """
 
 from __future__ import annotations
 
 import math
-import re
-from functools import cache
-from typing import Any, Final
+from typing import Any
 
 import click
 
-#: SI unit and an example for each dimension that a command knows.
-DIMENSIONS: Final[dict[str, tuple[str, str]]] = {
-    "length": ("m", "52 angstrom"),
-    "temperature": ("K", "300 K"),
-    "time": ("s", "0.5 fs"),
-    "pressure": ("Pa", "1 atm"),
-    "rate": ("1/s", "0.1 1/ns"),
-    "density": ("kg/m^3", "1.2 g/cm^3"),
-}
-_NUMBER_AND_UNIT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
+from protocol.quantities import DIMENSIONS, to_si
 
 
 class Value(float):
@@ -51,7 +39,7 @@ class Quantity(click.ParamType):
     Parameters
     ----------
     dimension : str
-        A key of `DIMENSIONS`.
+        A key of `protocol.quantities.DIMENSIONS`.
     least : float
         The value must be greater than this, in SI; ``-inf`` for any.
     """
@@ -64,25 +52,10 @@ class Quantity(click.ParamType):
         """Number in SI of a text with a unit; a mistake is told with the name of the option."""
         if isinstance(value, Value):
             return value
-        unit, example = DIMENSIONS[self.name]
-        wanted = f'it must be a {self.name} with its unit, such as "{example}"'
-        match = _NUMBER_AND_UNIT.fullmatch(str(value))
-        if match is None or not match.group(2):
-            self.fail(f"{value!r}: {wanted}", param, ctx)
         try:
-            number = float(_registry().Quantity(float(match.group(1)), match.group(2)).to(unit).magnitude)
-        except Exception:  # pint raises its own kinds, ValueError, AttributeError and tokenizer errors alike
-            hint = " (A is ampere; write angstrom)" if re.search(r"\bA\b", match.group(2)) else ""
-            self.fail(f"{value!r}: the unit {match.group(2)!r} is none of {self.name}{hint}; {wanted}", param, ctx)
-        if not (math.isfinite(number) and number > self._least):
-            limit = "finite" if self._least == -math.inf else f"greater than {self._least:g} {unit}"
-            self.fail(f"{value!r}: it must be {limit}", param, ctx)
+            number = to_si(str(value), self.name)
+        except ValueError as error:
+            self.fail(f"{value!r}: {error}", param, ctx)
+        if not number > self._least:
+            self.fail(f"{value!r}: it must be greater than {self._least:g} {DIMENSIONS[self.name][0]}", param, ctx)
         return Value(number, str(value))
-
-
-@cache
-def _registry() -> Any:
-    import pint
-
-    # Temperatures are on the absolute scale here; "25 degC" then converts as people mean it.
-    return pint.UnitRegistry(autoconvert_offset_to_baseunit=True)

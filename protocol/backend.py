@@ -9,6 +9,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from protocol.micromechanics import RegisterCell
 from protocol.service import Service
 
 GROUP = "scalebridge.backends"
@@ -30,6 +31,12 @@ class Backend:
     launcher : str, optional
         `module:callable`; called with the number of ranks, returns the words that go before the command
         of a service of several ranks, such as ``["mpiexec", "-n", "2"]``. None: one process only.
+    front : str, optional
+        `module:callable`; makes a service that answers by workers of this backend, see `make_front`. None: there
+        is none, as for every solver that holds a state.
+    cell_reader : str, optional
+        `module:callable`; given the path of a cell file, returns the message that registers the cell. None: this
+        backend reads none.
     seconds_per_unit_step : dict of str to float
         Seconds per step and atom or material point on one core, by force field (``""`` where the role has
         none); for estimates before a run.
@@ -42,12 +49,53 @@ class Backend:
     summary: str
     factory: str
     launcher: str | None = None
+    front: str | None = None
+    cell_reader: str | None = None
     seconds_per_unit_step: dict[str, float] = field(default_factory=dict)
     default: bool = False
 
     def make(self, folder: Path) -> Service:
         """Load the backend and return a new service that works in `folder`."""
         service: Service = _load(self.factory)(folder)
+        return service
+
+    def read_cell(self, path: Path) -> RegisterCell:
+        """Return the definition of the cell in a file.
+
+        Raises
+        ------
+        BackendError
+            Where this backend reads no cell files.
+        ValueError
+            Where the file is no cell file; the message has one line per mistake.
+        """
+        if self.cell_reader is None:
+            raise BackendError(f"backend {self.name} reads no cell files")
+        cell: RegisterCell = _load(self.cell_reader)(path)
+        return cell
+
+    def make_front(self, folder: Path, command: list[str], workers: int | None, executor: str | None) -> Service:
+        """Return a new service that splits each query over workers of this backend.
+
+        Parameters
+        ----------
+        folder : Path
+            Working folder; workers have their own below it.
+        command : list of str
+            Words of the command that serves this backend in one process; `--bind` and the like follow.
+        workers : int or None
+            Processes to start.
+        executor : str or None
+            Address of a cluster that does the work in their place, such as ``dask://HOST:PORT``.
+
+        Raises
+        ------
+        BackendError
+            Where the backend is of a kind that cannot be split, or the front cannot start.
+        """
+        if self.front is None:
+            raise BackendError(f"backend {self.name} holds a state in one process: it has no workers and no executor")
+        service: Service = _load(self.front)(self.name, folder, command, workers, executor)
         return service
 
     def launch_words(self, ranks: int) -> list[str]:

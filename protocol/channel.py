@@ -13,7 +13,7 @@ from zmq.utils.monitor import recv_monitor_message
 from protocol.dispatcher import Dispatcher, Host
 from protocol.frames import Frame
 from protocol.security import CLIENT, SERVER, load_pair, load_public
-from protocol.server import set_heartbeats
+from protocol.server import set_link
 from protocol.socket_frames import receive_frames, send_frames
 
 #: What a channel tells of its link.
@@ -103,7 +103,7 @@ class ZmqChannel(Channel):
         self._keys = keys
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context.instance()
         self._socket = self._context.socket(zmq.DEALER)
-        set_heartbeats(self._socket)
+        set_link(self._socket)
         self._socket.setsockopt(zmq.IDENTITY, uuid.uuid4().hex.encode())
         self._socket.setsockopt(zmq.LINGER, 200)
         self._socket.setsockopt(zmq.SNDTIMEO, SEND_MS)

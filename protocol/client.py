@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import time
 import uuid
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -39,6 +40,9 @@ from protocol.version import NEWEST, OLDEST, Version, package_version
 LOOK_SECONDS = 0.1
 #: Seconds that a broken link may take to come back.
 LINK_GRACE_SECONDS = 5.0
+
+#: Requests of `call_each` that are on their way at once: one in work, one that waits, one whose reply is read.
+IN_FLIGHT = 3
 
 Reply = TypeVar("Reply", bound=Message)
 
@@ -178,7 +182,71 @@ class Client:
             See the module's state diagram.
         """
         began = time.perf_counter()
-        message = request if request is not None else Empty()
+        request_id, frames = self._framed(operation, request if request is not None else Empty(), step)
+        self._channel.send(frames)
+        sent = time.perf_counter()
+        answer = self._await(request_id, operation, [frames], deadline)
+        received = time.perf_counter()
+        result = self._read(answer, operation, reply)
+        self.timing.sending += sent - began + time.perf_counter() - received
+        self.timing.computing += answer.seconds
+        self.timing.waiting += max(0.0, received - sent - answer.seconds)
+        return result
+
+    def call_each(
+        self, operation: str, requests: Iterable[Message], reply: type[Reply], *, deadline: float | None = None
+    ) -> Iterator[Reply]:
+        """Send requests one behind another and yield their replies in order.
+
+        The next request is there when the service has answered one, so that neither waits for the wire. For operations
+        without effect on the service's state alone: after a broken link one may be run twice.
+
+        Parameters
+        ----------
+        operation : str
+        requests : iterable of Message
+        reply : type of Message
+        deadline : float, optional
+            Seconds to wait for each reply; by default that of the operation.
+
+        Raises
+        ------
+        ProtocolError, ConnectionProblem
+            As `call`; what is on its way then is passed over.
+        """
+        waiting: deque[tuple[Message, str, list[Frame]]] = deque()
+
+        def send(request: Message) -> None:
+            began = time.perf_counter()
+            waiting.append((request, *self._framed(operation, request, 0)))
+            self._channel.send(waiting[-1][2])
+            self.timing.sending += time.perf_counter() - began
+
+        def next_reply() -> Reply:
+            began = time.perf_counter()
+            answer = self._await(waiting[0][1], operation, [frames for _, _, frames in waiting], deadline)
+            while answer.kind == "error" and answer.body.get("code") == "request_expired":
+                # The link broke, and the service keeps only the last of large replies: all are asked anew.
+                for _ in range(len(waiting)):
+                    send(waiting.popleft()[0])
+                answer = self._await(waiting[0][1], operation, [frames for _, _, frames in waiting], deadline)
+            received = time.perf_counter()
+            waiting.popleft()
+            result = self._read(answer, operation, reply)
+            self.timing.sending += time.perf_counter() - received
+            self.timing.computing += answer.seconds
+            self.timing.waiting += max(0.0, received - began - answer.seconds)
+            return result
+
+        for request in requests:
+            send(request)
+            if len(waiting) == IN_FLIGHT:
+                yield next_reply()
+        while waiting:
+            yield next_reply()
+
+    def _framed(self, operation: str, message: Message, step: int) -> tuple[str, list[Frame]]:
+        """Return id and frames of a new request, after the checks that need no service."""
         if not self.offers(operation):
             raise ProtocolError("unsupported", f"the {self.role} service does not have {operation}", field="type")
         unknown = newer_fields(message, self._version) if self._version < NEWEST else []
@@ -204,24 +272,22 @@ class Client:
                 f"the request {operation} has {size} bytes, the {self.role} service takes at most "
                 f"{self._max_message_bytes}",
             )
-        self._channel.send(frames)
-        sent = time.perf_counter()
-        wait = self._operations[operation].deadline if deadline is None else deadline
-        answer = self._await(request_id, operation, frames, wait)
-        received = time.perf_counter()
+        return request_id, frames
+
+    def _read(self, answer: Envelope, operation: str, reply: type[Reply]) -> Reply:
+        """Return the message of an answer, or raise its error."""
         if answer.kind == "error":
             raise _raised(answer)
         try:
-            result = reply.from_parts(answer.body, answer.arrays)
+            return reply.from_parts(answer.body, answer.arrays)
         except ValidationError as error:
             raise bad_field(error, f"reply of the {self.role} service to {operation}") from None
-        self.timing.sending += sent - began + time.perf_counter() - received
-        self.timing.computing += answer.seconds
-        self.timing.waiting += max(0.0, received - sent - answer.seconds)
-        return result
 
-    def _await(self, request_id: str, operation: str, frames: list[Frame], wait: float) -> Envelope:
-        """Return the reply to a sent request; see the state diagram above."""
+    def _await(
+        self, request_id: str, operation: str, unanswered: Sequence[list[Frame]], deadline: float | None
+    ) -> Envelope:
+        """Return the reply to the first of the unanswered requests; see the state diagram above."""
+        wait = self._operations[operation].deadline if deadline is None else deadline
         end = time.monotonic() + wait
         broken_since: float | None = None
         while True:
@@ -242,7 +308,8 @@ class Client:
                     broken_since = time.monotonic()
                 elif event == CONNECTED and broken_since is not None:
                     broken_since = None
-                    self._channel.send(frames)
+                    for frames in unanswered:
+                        self._channel.send(frames)
             if self._watch is not None:
                 self._watch()
             now = time.monotonic()

@@ -9,6 +9,7 @@ from pathlib import Path
 from protocol.conformance_atomistic import AtomisticChecks
 from protocol.conformance_cracks import CrackChecks
 from protocol.conformance_kit import Check
+from protocol.conformance_micromechanics import MicromechanicsChecks
 from protocol.conformance_overlap import OverlapChecks
 from protocol.conformance_wire import WireChecks
 from protocol.malformed_messages import malformed_messages
@@ -49,7 +50,7 @@ def check_service(
     return kit.checks
 
 
-class Kit(WireChecks, AtomisticChecks, CrackChecks, OverlapChecks):
+class Kit(WireChecks, AtomisticChecks, CrackChecks, OverlapChecks, MicromechanicsChecks):
     """One pass over one service; see `check_service`."""
 
     def run(self, shutdown: bool) -> None:
@@ -68,6 +69,16 @@ class Kit(WireChecks, AtomisticChecks, CrackChecks, OverlapChecks):
         self._check("frames: an empty delimiter is understood and returned", self._delimiter)
         self._check("frames: two clients get each their own reply", self._two_clients)
         self._check("control: status is answered", self._control_status)
+        if self._welcome.role == "micromechanics":
+            self._micromechanics()
+        else:
+            self._solver()
+        if shutdown:
+            self._check("shutdown: the service ends", self._shutdown)
+
+    def _solver(self) -> None:
+        """Make the checks of a role that holds a problem and its state."""
+        assert self._welcome is not None
         if self._welcome.state == "new":
             self._check("state new: what needs a problem is refused", self._nothing_is_set)
         problem = self._check("problem: is set, every reply has its shape", self._set_problem)
@@ -92,8 +103,36 @@ class Kit(WireChecks, AtomisticChecks, CrackChecks, OverlapChecks):
         self._check("size: a message beyond the limit is refused", self._too_large)
         self._check("size: arrays without rows are understood", lambda: self._zero_rows(problem))
         self._check("end: the service still answers", self._still_there)
-        if shutdown:
-            self._check("shutdown: the service ends", self._shutdown)
+
+    def _micromechanics(self) -> None:
+        """Make the checks of a role that holds no state."""
+        problem = self._check("register: a cell is taken, its reply fits", self._register)
+        if problem is None:
+            return
+        self._check("register: equal cells have equal ids, others not", self._ids)
+        self._check("register: each kind of material is taken or unsupported", self._material_kinds)
+        self._check("cell: an unknown one is refused, and costs nothing", lambda: self._unknown_cell(problem))
+        self._check("evaluate: replies fit the query", lambda: self._evaluations(problem))
+        self._check("evaluate: failure is kept, counted and not undone", lambda: self._failures(problem))
+        self._check("evaluate: any split of the points gives the same bits", lambda: self._splits(problem))
+        self._check("evaluate: absent state is the intact one, tangents only where wanted", lambda: self._bare(problem))
+        self._check("properties: a cell of one material has its constants", self._one_material)
+        self._check("properties: between temperatures linear, beyond them refused", self._temperatures)
+        self._check("properties: stiffness and expansion are those of the stress", lambda: self._elastic(problem))
+        self._check("localise: means over the cell are the macroscopic ones", lambda: self._means(problem))
+        self._check("id: a repeated request is answered from its reply", lambda: self._repeated(problem))
+        self._check("id: an old one is never run again", lambda: self._old_id(problem))
+        self._check("id: one that is used for another request is refused", lambda: self._reused_id(problem))
+        before = self._check("wrong fields: answers to compare with", lambda: self._two_answers(problem))
+        self._each_wrong(problem)
+        self._check("wrong fields: none of them changed an answer", lambda: self._as_before(problem, before))
+        self._check("control: status while the solver computes, and abort", lambda: self._end_long(problem))
+        self._check(
+            "state: it is new throughout, and abort changed no answer", lambda: self._as_before(problem, before)
+        )
+        self._check("size: a message beyond the limit is refused", self._too_large)
+        self._check("size: a query without points is answered", lambda: self._no_points(problem))
+        self._check("end: the service still answers", self._still_there)
 
 
 __all__ = ["Check", "check_service"]

@@ -133,9 +133,9 @@ class KitBase:
         return self._control
 
     def _advance(self, problem: Problem) -> Envelope:
-        answer = self._work.ask("advance", problem.advance(self._exchanges))
+        answer = self._work.ask(problem.operation, problem.advance(self._exchanges))
         self._exchanges += 1
-        read_reply(answer, self._role.operations["advance"].reply)
+        read_reply(answer, self._role.operations[problem.operation].reply)
         return answer
 
     def _advance_from(self, problem: Problem, first: int, count: int) -> list[Envelope]:

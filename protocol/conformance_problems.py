@@ -55,6 +55,8 @@ class Problem:
         Named sizes that are known once the problem is set.
     kinds : list of (label, requests)
         Valid requests, from `configure` on, one of which holds what a service may have or refuse as unsupported.
+    operation : str
+        That `advance` makes requests of.
     """
 
     steps: Requests
@@ -64,6 +66,7 @@ class Problem:
     long: tuple[str, Message]
     sizes: dict[str, int]
     kinds: list[tuple[str, Requests]] = field(default_factory=list)
+    operation: str = "advance"
 
     def request(self, operation: str) -> Message:
         """Return the request of an operation of `steps`."""

@@ -215,6 +215,14 @@ class SolverChecks(KitBase):
             "wrong fields: an advance to compare with", lambda: self._advance_from(problem, first, 1)
         )
         self._check("wrong fields: back to the checkpoint", lambda: self._restore(saved))
+        self._each_wrong(problem)
+        self._check(
+            "wrong fields: none of them disturbed the solver",
+            lambda: self._same(expected or [], self._advance_from(problem, first, 1), "after refused requests"),
+        )
+
+    def _each_wrong(self, problem: Problem) -> None:
+        """Make a check of each field of the problem's whole requests, and of each of its rules."""
         assert self._welcome is not None
         version = Version(*self._welcome.version)
         for operation, message in problem.whole:
@@ -236,10 +244,6 @@ class SolverChecks(KitBase):
                 f"wrong rule: {rule.operation}, {rule.label}",
                 partial(self._refused, rule.operation, [request]),
             )
-        self._check(
-            "wrong fields: none of them disturbed the solver",
-            lambda: self._same(expected or [], self._advance_from(problem, first, 1), "after refused requests"),
-        )
 
     def _kinds(self, problem: Problem) -> None:
         """Each thing that a service may have or not is taken, or refused as such."""

@@ -21,6 +21,13 @@ from protocol.messages import (
 from protocol.roles import ROLES
 from protocol.version import OLDEST, Version
 
+#: Capabilities that a service of each role must list.
+LISTS: dict[str, tuple[str, ...]] = {
+    "continuum": ("fields",),
+    "atomistic": ("fields", "force_fields", "materials"),
+    "micromechanics": ("criteria", "after_failure"),
+}
+
 
 class WireChecks(KitBase):
     """Checks that need no problem, or only one that is set."""
@@ -41,7 +48,7 @@ class WireChecks(KitBase):
         assert self._welcome is not None
         if self._welcome.units != "SI":
             raise Refuted(f"units are {self._welcome.units!r}, must be 'SI'")
-        for name in ("fields", "force_fields", "materials")[: 3 if self._welcome.role == "atomistic" else 1]:
+        for name in LISTS[self._welcome.role]:
             names = self._welcome.capabilities.get(name)
             if not isinstance(names, list) or (not names and name != "fields"):
                 raise Refuted(f"capabilities.{name} must be a list of names, is {names!r}")
@@ -117,10 +124,10 @@ class WireChecks(KitBase):
         self._control_probe().reply("status", None, Status)
 
     def _repeated(self, problem: Problem) -> None:
-        frames, request_id = self._work.request("advance", problem.advance(self._exchanges))
+        frames, request_id = self._work.request(problem.operation, problem.advance(self._exchanges))
         self._exchanges += 1
         first = decode(self._work.ask_frames(frames, request_id))
-        read_reply(first, self._role.operations["advance"].reply)
+        read_reply(first, self._role.operations[problem.operation].reply)
         for others in range(4):
             step = self._status().step if others else None
             again = decode(self._work.ask_frames(frames, request_id))
@@ -129,7 +136,7 @@ class WireChecks(KitBase):
             if step is not None and self._status_step_by_control() != step:
                 raise Refuted("the repeated request was run again: the step counter moved")
             # One status of the work socket lies between two repeats, so at most three replies came since.
-        bad, bad_id = self._work.request("advance", {"steps": "x"})
+        bad, bad_id = self._work.request(problem.operation, {})
         one, two = (decode(self._work.ask_frames(bad, bad_id)) for _ in range(2))
         if difference(one, two):
             raise Refuted("a repeated request that was refused got another answer")
@@ -138,7 +145,7 @@ class WireChecks(KitBase):
         return self._control_probe().reply("status", None, Status).step
 
     def _old_id(self, problem: Problem) -> str:
-        frames, request_id = self._work.request("advance", problem.advance(self._exchanges))
+        frames, request_id = self._work.request(problem.operation, problem.advance(self._exchanges))
         self._exchanges += 1
         first = decode(self._work.ask_frames(frames, request_id))
         for _ in range(40):

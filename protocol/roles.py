@@ -1,7 +1,4 @@
-"""Roles: which operations a role has, with their messages, and in which states they are allowed.
-
-`micromechanics` and `structure` will be further entries of `ROLES`; nothing else changes for them.
-"""
+"""Roles: which operations a role has, with their messages, and in which states they are allowed."""
 
 from __future__ import annotations
 
@@ -9,6 +6,8 @@ from dataclasses import dataclass, field
 
 from protocol import atomistic as a
 from protocol import continuum as c
+from protocol import micromechanics as m
+from protocol import structure as s
 from protocol.messages import (
     Acknowledged,
     CheckpointReply,
@@ -24,7 +23,7 @@ from protocol.messages import (
 )
 from protocol.version import Version
 
-FIRST, ATOMS, COUPLING = Version(1, 0), Version(1, 2), Version(1, 3)
+FIRST, ATOMS, COUPLING, CELLS = Version(1, 0), Version(1, 2), Version(1, 3), Version(1, 4)
 ANY = frozenset({"new", "configured", "registered", "ready", "failed"})
 CONFIGURED = frozenset({"configured", "registered", "ready"})
 REGISTERED = frozenset({"registered", "ready"})
@@ -126,6 +125,35 @@ ROLES: dict[str, Role] = {
                 "cut": Operation(a.CutRequest, a.Severed, READY, "ready", 120.0, since=COUPLING, optional=True),
                 "checkpoint": Operation(Empty, CheckpointReply, READY, "ready", 120.0),
                 "restore": Operation(RestoreRequest, Restored, REGISTERED, "ready", 120.0),
+                "status": Operation(Empty, Status, ANY, deadline=5.0),
+                "shutdown": SHUTDOWN,
+            },
+        ),
+        Role(
+            "micromechanics",
+            "stress, tangent and failure of a periodic cell at many points; stateless",
+            {
+                "hello": HELLO,
+                "register": Operation(m.RegisterCell, m.CellRegistered, ANY, None, 600.0, since=CELLS),
+                "evaluate": Operation(m.EvaluateRequest, m.Evaluated, ANY, None, 3600.0, since=CELLS),
+                "localise": Operation(m.LocaliseRequest, m.Localised, ANY, None, 3600.0, since=CELLS),
+                "properties": Operation(m.CellPropertiesRequest, m.CellProperties, ANY, None, 600.0, since=CELLS),
+                "status": Operation(Empty, Status, ANY, deadline=5.0),
+                "shutdown": SHUTDOWN,
+            },
+        ),
+        Role(
+            "structure",
+            "pull a laminate that asks its microstructure at every integration point",
+            {
+                "hello": HELLO,
+                "configure": Operation(
+                    s.StructureConfigure, s.StructureConfigured, ANY, "configured", 600.0, since=CELLS
+                ),
+                "advance": Operation(s.StructureAdvance, s.StructureAdvanced, CONFIGURED, "ready", 3600.0, since=CELLS),
+                "fields": Operation(FieldsRequest, FieldsReply, CONFIGURED, since=CELLS),
+                "checkpoint": Operation(Empty, CheckpointReply, CONFIGURED, "ready", 120.0, since=CELLS),
+                "restore": Operation(RestoreRequest, Restored, CONFIGURED, "ready", 120.0, since=CELLS),
                 "status": Operation(Empty, Status, ANY, deadline=5.0),
                 "shutdown": SHUTDOWN,
             },

@@ -60,7 +60,7 @@ def manual_example(method: str) -> Homogenised:
     compliance[[3, 4, 5], [3, 4, 5]] = 2.0 * (1.0 + nu_across) / across, 1.0 / shear, 1.0 / shear
     return square_fibre(
         0.65,
-        np.linalg.inv(compliance) * GPA,
+        np.asarray(np.linalg.inv(compliance) * GPA, dtype=np.float64),
         isotropic_stiffness(3.45, 0.35, 1.278) * GPA,
         (np.array([-0.68, 9.74, 9.74, 0, 0, 0]) * 1e-6, np.array([45.0, 45.0, 45.0, 0, 0, 0]) * 1e-6),
         method,

@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 import pytest
 from pydantic import ValidationError
-from toy_services import TOYS, Toy, ToyAtomistic, ToyContinuum
+from toy_services import TOYS, Toy, ToyAtomistic, ToyContinuum, ToyMicromechanics
 
 from protocol import atomistic as a
 from protocol import continuum as c
 from protocol import dispatcher as dispatching
+from protocol import micromechanics as m
 from protocol.conformance import Check, check_service
 from protocol.dispatcher import Dispatcher, Host
 from protocol.errors import ProtocolError
@@ -67,7 +68,7 @@ def failures(checks: list[Check]) -> list[str]:
 @pytest.mark.parametrize("noise", [False, True], ids=["quiet", "noisy"])
 @pytest.mark.parametrize("role", sorted(TOYS))
 def test_sound_services_pass_every_check(role: str, noise: bool, tmp_path: Path) -> None:
-    amplitude = {"continuum": 1e12, "atomistic": 1e-12}[role]
+    amplitude = {"continuum": 1e12, "atomistic": 1e-12, "micromechanics": 0.0}[role]
     checks = held(TOYS[role](amplitude if noise else 0.0), tmp_path)
     assert failures(checks) == []
     assert len(checks) > 85
@@ -384,7 +385,111 @@ class RefusesWithoutSayingWhat(ToyContinuum):
         return super().configure(request)
 
 
+class OrderOfSubcells(ToyMicromechanics):
+    """Counts subcells column by column in the fields inside the cell."""
+
+    def localise(self, request: m.LocaliseRequest) -> m.Localised:
+        reply, cell = super().localise(request), self.cell(request.cell)
+        rows, columns = cell.phase.shape
+        turned = reply.stress.reshape(-1, rows, columns, 6).transpose(0, 2, 1, 3).reshape(reply.stress.shape)
+        return reply.model_copy(update={"stress": np.ascontiguousarray(turned)})
+
+
+class TensorShear(ToyMicromechanics):
+    """Takes shear strains for the components of the tensor."""
+
+    def evaluate(self, request: m.EvaluateRequest) -> m.Evaluated:
+        factor = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
+        return super().evaluate(request.model_copy(update={"strain": request.strain * factor}))
+
+
+class SummedOverAll(ToyMicromechanics):
+    """Adds a rounding error that depends on how many points there are."""
+
+    def evaluate(self, request: m.EvaluateRequest) -> m.Evaluated:
+        reply = super().evaluate(request)
+        return reply.model_copy(update={"stress": reply.stress * (1.0 + 1e-15 * len(reply.stress))})
+
+
+class RandomIds(ToyMicromechanics):
+    def register(self, request: m.RegisterCell) -> m.CellRegistered:
+        reply = super().register(request)
+        name = uuid.uuid4().hex
+        self.cells[name] = self.cells[reply.cell]
+        return reply.model_copy(update={"cell": name})
+
+
+class OneIdForAll(ToyMicromechanics):
+    def register(self, request: m.RegisterCell) -> m.CellRegistered:
+        reply = super().register(request)
+        self.cells["cell"] = self.cells[reply.cell]
+        return reply.model_copy(update={"cell": "cell"})
+
+
+class ForgetsFailure(ToyMicromechanics):
+    def evaluate(self, request: m.EvaluateRequest) -> m.Evaluated:
+        return super().evaluate(request.model_copy(update={"failed": None}))
+
+
+class CountsAllFailures(ToyMicromechanics):
+    def evaluate(self, request: m.EvaluateRequest) -> m.Evaluated:
+        reply = super().evaluate(request)
+        return reply.model_copy(update={"new_failures": int(np.unpackbits(reply.failed).sum())})
+
+
+class TangentOfEachPoint(ToyMicromechanics):
+    def evaluate(self, request: m.EvaluateRequest) -> m.Evaluated:
+        reply = super().evaluate(request)
+        if reply.tangents is None or reply.tangent_index is None:
+            return reply
+        every = reply.tangents[reply.tangent_index]
+        return reply.model_copy(update={"tangents": every, "tangent_index": np.arange(len(every))})
+
+
+class NearestTemperature(ToyMicromechanics):
+    """Takes the nearest entry where a temperature is outside the table."""
+
+    def constants(self, cell: m.RegisterCell, temperature: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        tables = [material.temperatures for material in cell.materials]
+        return super().constants(cell, float(np.clip(temperature, max(t[0] for t in tables), 300.0)))
+
+
+class ExpansionFromZero(ToyMicromechanics):
+    def subcell_stress(self, cell: m.RegisterCell, request: Any, bits: np.ndarray, rows: slice) -> np.ndarray:
+        return super().subcell_stress(cell.model_copy(update={"stress_free_temperature": 0.0}), request, bits, rows)
+
+
+class UnknownIsBadField(ToyMicromechanics):
+    def cell(self, name: str) -> m.RegisterCell:
+        if name not in self.cells:
+            raise ProtocolError("bad_field", f"no cell {name!r}", field="cell")
+        return self.cells[name]
+
+
+class TakesAnyBits(ToyMicromechanics):
+    def bits(self, cell: m.RegisterCell, failed: np.ndarray | None, points: int) -> np.ndarray:
+        return super().bits(cell, None if failed is None else failed[:, :1] & 0x3F, points)
+
+
+class AlwaysTangents(ToyMicromechanics):
+    def evaluate(self, request: m.EvaluateRequest) -> m.Evaluated:
+        return super().evaluate(request.model_copy(update={"want_tangent": True}))
+
+
 BROKEN: list[tuple[str, type]] = [
+    ("localise: means", OrderOfSubcells),
+    ("properties: stiffness and expansion", TensorShear),
+    ("evaluate: any split", SummedOverAll),
+    ("register: equal cells", RandomIds),
+    ("register: equal cells", OneIdForAll),
+    ("evaluate: failure is kept", ForgetsFailure),
+    ("evaluate: failure is kept", CountsAllFailures),
+    ("evaluate: any split", TangentOfEachPoint),
+    ("properties: between temperatures", NearestTemperature),
+    ("properties: stiffness and expansion", ExpansionFromZero),
+    ("cell: an unknown one", UnknownIsBadField),
+    ("wrong rule: evaluate, a byte of bits", TakesAnyBits),
+    ("evaluate: absent state", AlwaysTangents),
     ("kinds: force scaling", RefusesWithoutSayingWhat),
     ("hello: ranges that do not meet", WrongVersionTaken),
     ("hello: another role", AnyRole),

@@ -25,9 +25,11 @@ from wire_setup import make_ready, process
 
 from protocol import atomistic as a
 from protocol import continuum as c
+from protocol import micromechanics as m
 from protocol.channel import InProcessChannel
 from protocol.client import Client
 from protocol.conformance_atomistic import atomistic_configure, atomistic_problem
+from protocol.conformance_micromechanics import micromechanics_cell, micromechanics_problem
 from protocol.conformance_problems import Problem, continuum_problem
 from protocol.dispatcher import KEPT_IDS, Host
 from protocol.errors import CODES
@@ -55,12 +57,21 @@ class Recorder(InProcessChannel):
 
 
 def conversation(role: str) -> tuple[Host, list[Frames], Problem]:
-    """Return a service in the state `ready` and the requests that brought it there, and some more."""
+    """Return a service that can be asked and the requests that brought it there, and some more."""
     service: Toy = TOYS[role]()
     host = Host(service, max_message_bytes=1 << 24)
     record: list[Frames] = []
     client = Client(Recorder(host, record), role)
     welcome = client.hello()
+    record.append([bytes(f) for f in encode(Envelope("request", "status", "s", {}))])
+    service.most_steps = MOST_STEPS
+    if role == "micromechanics":
+        problem = micromechanics_problem(client.call("register", micromechanics_cell(), m.CellRegistered))
+        for (operation, message), reply in zip(
+            problem.whole[1:], (m.Evaluated, m.Localised, m.CellProperties), strict=True
+        ):
+            client.call(operation, message, reply)
+        return host, record, problem
     if role == "continuum":
         problem = continuum_problem()
         make_ready(client, problem)
@@ -77,11 +88,9 @@ def conversation(role: str) -> tuple[Host, list[Frames], Problem]:
         client.call("properties", properties, a.Properties)
     saved = client.call("checkpoint", None, CheckpointReply)
     client.call("restore", RestoreRequest(step=saved.step, state=saved.state), Restored)
-    record.append([bytes(f) for f in encode(Envelope("request", "status", "s", {}))])
     record.append(
         [bytes(f) for f in encode(Envelope("request", "fields", "f", FieldsRequest(names=["position"]).model_dump()))]
     )
-    service.most_steps = MOST_STEPS
     return host, record, problem
 
 
@@ -245,6 +254,11 @@ def check_answer(answer: list[Frame], seen: Counter[str]) -> None:
 def check_still_right(role: str, client: Client, problem: Problem) -> None:
     """A whole right conversation on the service that was fuzzed."""
     client.hello(10.0)
+    if role == "micromechanics":
+        client.call("register", problem.request("register"), m.CellRegistered)
+        stress = client.call("evaluate", problem.advance(0), m.Evaluated).stress
+        assert np.isfinite(stress).all() and stress.any()
+        return
     if role == "continuum":
         make_ready(client, problem)
         reply: Any = client.call("advance", problem.advance(0), c.ContinuumAdvanced, deadline=10.0)
@@ -280,10 +294,24 @@ values = st.recursive(
     max_leaves=8,
 )  # fmt: skip
 operations = st.sampled_from(
-    ["hello", "configure", "register", "advance", "fields", "checkpoint", "restore", "status", "shutdown", "x", ""]
+    [
+        "hello",
+        "configure",
+        "register",
+        "advance",
+        "evaluate",
+        "fields",
+        "checkpoint",
+        "restore",
+        "status",
+        "shutdown",
+        "x",
+        "",
+    ]
 )
 names = st.sampled_from(["steps", "ivc_force", "anchor_force", "anchor_position", "names", "state", "step", "material",
-                         "body", "versions", "role", "client", "time_step", "edges"])  # fmt: skip
+                         "body", "versions", "role", "client", "time_step", "edges", "cell", "strain",
+                         "materials"])  # fmt: skip
 entries = st.fixed_dictionaries(
     {
         "name": names | st.text(max_size=5),

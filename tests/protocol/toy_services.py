@@ -1,4 +1,5 @@
-"""Two small real services for the tests: harmonic oscillators behind each role, nothing but numpy.
+"""Small real services for the tests, nothing but numpy: harmonic oscillators behind the roles that hold a state, and
+a cell of uniform strain behind the one that does not.
 
 `python toy_services.py ROLE ENDPOINT [--noise] [--parent PID] [--limit BYTES]` serves one as a process.
 """
@@ -16,6 +17,7 @@ import numpy as np
 
 from protocol import atomistic as a
 from protocol import continuum as c
+from protocol import micromechanics as m
 from protocol.errors import ProtocolError
 from protocol.messages import CheckpointReply, Empty, FieldsReply, FieldsRequest, Restored, RestoreRequest, newer_fields
 from protocol.server import Server
@@ -353,6 +355,149 @@ class ToyAtomistic(Toy):
         )  # fmt: skip
 
 
+class ToyMicromechanics(Toy):
+    """Cells whose subcells all have the macroscopic strain (Voigt); maximum stress alone, along 1, 2 and 3."""
+
+    role = "micromechanics"
+    own_fields = ()
+
+    def __init__(self, noise: float = 0.0) -> None:
+        super().__init__(noise)
+        self.cells: dict[str, m.RegisterCell] = {}
+
+    def capabilities(self) -> Capabilities:
+        return {"criteria": ["maximum_stress"], "after_failure": ["gmc"]}
+
+    def register(self, request: m.RegisterCell) -> m.CellRegistered:
+        if request.after_failure != "gmc":
+            raise ProtocolError("unsupported", "after_failure: this toy knows gmc alone", field="after_failure")
+        if request.phase.size > 4096:
+            raise ProtocolError("unsupported", "phase: more than 4096 subcells", field="phase")
+        for number, material in enumerate(request.materials):
+            for name in ("fracture_energy", "plasticity"):
+                if getattr(material, name) is not None:
+                    field = f"materials.{number}.{name}"
+                    raise ProtocolError("unsupported", f"{field}: this toy knows nothing of it", field=field)
+            for row, failure in enumerate(material.failures):
+                if failure.criterion != "maximum_stress":
+                    field = f"materials.{number}.failures.{row}.criterion"
+                    raise ProtocolError("unsupported", f"{field}: this toy knows maximum_stress alone", field=field)
+        digest = hashlib.sha256(repr(request.plain_values()).encode())
+        for array in request.array_values().values():
+            digest.update(repr(array.shape).encode() + array.tobytes())
+        self.cells[digest.hexdigest()] = request
+        subcells = request.phase.size
+        return m.CellRegistered(
+            cell=digest.hexdigest(), subcells=subcells, failed_bytes=-(-subcells // 8), history_values=0,
+            material_fraction=self.fractions(request),
+        )  # fmt: skip
+
+    def areas(self, cell: m.RegisterCell) -> np.ndarray:
+        with np.errstate(all="ignore"):
+            areas = np.outer(cell.heights / cell.heights.sum(), cell.widths / cell.widths.sum()).reshape(-1)
+        if not np.isfinite(areas).all():
+            raise ProtocolError("solver_failed", "the sizes of the cell are beyond what can be added", step=0)
+        return areas
+
+    def fractions(self, cell: m.RegisterCell) -> np.ndarray:
+        return np.bincount(cell.phase.reshape(-1), self.areas(cell), len(cell.materials))
+
+    def cell(self, name: str) -> m.RegisterCell:
+        if name not in self.cells:
+            raise ProtocolError("unknown_cell", f"no cell {name!r}", field="cell")
+        return self.cells[name]
+
+    def constants(self, cell: m.RegisterCell, temperature: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Stiffness, expansion and limit along 1, 2, 3 (of tension alone) of every subcell."""
+        found = []
+        for material in cell.materials:
+            table = material.temperatures
+            if len(table) > 1 and not table[0] <= temperature <= table[-1]:
+                raise bad("temperature", f"is {temperature} K, allowed is {table[0]} to {table[-1]} K")
+            columns = np.hstack([np.array(material.stiffness), np.array(material.expansion)])
+            row = [np.interp(temperature, table, column) for column in columns.T]
+            limits = [np.inf if value is None else value for f in material.failures for value in f.tension]
+            limit = np.min([np.reshape(limits, (-1, 3)).min(axis=0), [np.inf] * 3], axis=0) if limits else [np.inf] * 3
+            found.append((np.reshape(row[:36], (6, 6)), np.array(row[36:]), np.array(limit)))
+        of = cell.phase.reshape(-1)
+        return tuple(np.array(part)[of] for part in zip(*found, strict=True))  # type: ignore[return-value]
+
+    def bits(self, cell: m.RegisterCell, failed: np.ndarray | None, points: int) -> np.ndarray:
+        size = cell.phase.size
+        if failed is None:
+            return np.zeros((points, size), bool)
+        if failed.shape[1] != -(-size // 8):
+            raise bad("failed", f"has {failed.shape[1]} bytes, must have {-(-size // 8)}")
+        bits = np.unpackbits(failed, axis=1, bitorder="little").astype(bool)
+        if bits[:, size:].any():
+            raise bad("failed", "has bits beyond the subcells")
+        return bits[:, :size]
+
+    def state_of(self, request: m.LocaliseRequest) -> tuple[m.RegisterCell, np.ndarray]:
+        cell = self.cell(request.cell)
+        if request.history is not None and request.history.shape[1]:
+            raise bad("history", f"has {request.history.shape[1]} values, must have none")
+        return cell, self.bits(cell, request.failed, len(request.strain))
+
+    def subcell_stress(self, cell: m.RegisterCell, request: Any, bits: np.ndarray, rows: slice) -> np.ndarray:
+        stiffness, expansion, _ = self.constants(cell, request.temperature)
+        change = request.temperature - cell.stress_free_temperature
+        strain = request.strain[rows, None, :] - expansion * change
+        stress = (stiffness @ strain[..., None])[..., 0]
+        return stress * np.where(bits[rows], cell.knock_down, 1.0)[..., None]
+
+    def evaluate(self, request: m.EvaluateRequest) -> m.Evaluated:
+        cell, bits = self.state_of(request)
+        before, shares = bits.sum(), self.areas(cell)
+        stiffness, _, limit = self.constants(cell, request.temperature)
+        stress, bits = np.zeros_like(request.strain), bits.copy()
+        for start in range(0, len(stress), CHUNK):
+            self.activity.progress(start, len(stress), "points")
+            if self.compute_first is not None:
+                self.compute_first(self)
+            rows = slice(start, start + CHUNK)
+            with np.errstate(all="ignore"):
+                bits[rows] |= (self.subcell_stress(cell, request, bits, rows)[..., :3] > limit).any(axis=-1)
+                # One point at a time, so that no sum depends on how many there are.
+                for point in range(start, min(start + CHUNK, len(stress))):
+                    one = self.subcell_stress(cell, request, bits, slice(point, point + 1))[0]
+                    stress[point] = (shares[:, None] * one).sum(axis=0)
+        if not np.isfinite(stress).all():
+            raise ProtocolError("solver_failed", "stress is not finite", step=0)
+        rows_of: dict[bytes, int] = {}
+        index = np.array([rows_of.setdefault(row.tobytes(), len(rows_of)) for row in bits], np.int64)
+        masks = np.array([np.frombuffer(row, bool) for row in rows_of]).reshape(-1, cell.phase.size)
+        with np.errstate(all="ignore"):
+            tangents = [(shares * np.where(mask, cell.knock_down, 1.0)) for mask in masks]
+            table = np.array([(one[:, None, None] * stiffness).sum(axis=0) for one in tangents]).reshape(-1, 6, 6)
+        # Masks of subcells with equal shares have equal tangents, of which the table has only one.
+        values: dict[bytes, int] = {}
+        rename = np.array([values.setdefault(one.tobytes(), len(values)) for one in table], np.int64)
+        table = np.array([np.frombuffer(one).reshape(6, 6) for one in values]).reshape(-1, 6, 6)
+        return m.Evaluated(
+            stress=stress, failed=np.packbits(bits, axis=1, bitorder="little"),
+            history=np.zeros((len(bits), 0)), tangent_index=rename[index] if request.want_tangent else None,
+            tangents=table if request.want_tangent else None, new_failures=int(bits.sum() - before),
+        )  # fmt: skip
+
+    def localise(self, request: m.LocaliseRequest) -> m.Localised:
+        cell, bits = self.state_of(request)
+        stress = self.subcell_stress(cell, request, bits, slice(None))
+        strain = np.broadcast_to(request.strain[:, None, :], stress.shape)
+        return m.Localised(stress=stress, strain=strain)
+
+    def properties(self, request: m.CellPropertiesRequest) -> m.CellProperties:
+        cell = self.cell(request.cell)
+        bits = self.bits(cell, None if request.failed is None else request.failed[None], 1)[0]
+        stiffness, expansion, _ = self.constants(cell, request.temperature)
+        weighted = (self.areas(cell) * np.where(bits, cell.knock_down, 1.0))[:, None, None] * stiffness
+        whole = weighted.sum(axis=0)
+        return m.CellProperties(
+            stiffness=whole, expansion=np.linalg.solve(whole, np.einsum("nij,nj->i", weighted, expansion)),
+            material_fraction=self.fractions(cell),
+        )  # fmt: skip
+
+
 def inside(position: np.ndarray, box: c.Rectangle) -> np.ndarray:
     return inside_box(position, np.array(box.lower), np.array(box.upper))
 
@@ -382,7 +527,11 @@ def hold_lock(seconds: int) -> Any:
     return work
 
 
-TOYS: dict[str, type[Toy]] = {"continuum": ToyContinuum, "atomistic": ToyAtomistic}
+TOYS: dict[str, type[Toy]] = {
+    "continuum": ToyContinuum,
+    "atomistic": ToyAtomistic,
+    "micromechanics": ToyMicromechanics,
+}
 
 
 def main() -> None:

@@ -1,0 +1,340 @@
+"""One run of a laminate scene, from its file to its report."""
+
+from __future__ import annotations
+
+import time
+import uuid
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from coordinator.checkpoint import CheckpointError, read_checkpoint, write_checkpoint
+from coordinator.interruption import Interrupted, Interruption
+from coordinator.laminate_report import make_laminate_report
+from coordinator.laminate_results import SERIES, Frame, LaminateResults
+from coordinator.laminate_scene import LaminateScene, load_laminate, radians
+from coordinator.launcher import ServiceDied, Services
+from coordinator.output import versions
+from coordinator.run import INTERRUPTED_STATUS, RunError, command_line, differences, guilty, progress_bar, set_aside
+from coordinator.summary import Status, Summary, WallTime
+from protocol import structure as s
+from protocol.backend import find
+from protocol.client import Client
+from protocol.errors import ConnectionProblem, ProtocolError
+from protocol.messages import CheckpointReply, FieldsReply, FieldsRequest, Restored, RestoreRequest
+from protocol.micromechanics import RegisterCell
+
+FIELDS = ["displacement", "stress", "failed"]
+_UNITS = {
+    "peak_stress": "Pa", "strain_at_peak": "1", "first_failure_strain": "1", "first_failure_stress": "Pa",
+    "initial_stiffness": "Pa", "failed_points": "1", "queries_spared": "1", "residual_max": "1",
+}  # fmt: skip
+
+
+def run_laminate(
+    scene_path: Path,
+    folder: Path,
+    *,
+    resume: bool = False,
+    overrides: Sequence[str] = (),
+    attached: dict[str, str] | None = None,
+    keys: Path | None = None,
+    console: Console | None = None,
+) -> int:
+    """Run a laminate scene and return the exit status; arguments are those of `coordinator.run.run_scene`."""
+    run = LaminateRun(
+        load_laminate(scene_path, overrides),
+        folder,
+        command_line(scene_path, folder, overrides, attached or {}, keys),
+        resume=resume,
+        attached=attached or {},
+        keys=keys,
+        console=console or Console(stderr=True),
+    )
+    return run.execute()
+
+
+class LaminateRun:
+    """One run of a laminate scene in a folder.
+
+    Parameters
+    ----------
+    scene : LaminateScene
+    folder : Path
+    command : str
+        Command that repeats the run.
+    resume : bool
+        Go on from the checkpoint of the folder, or start anew where there is none.
+    attached : dict of str to str
+        Endpoints of services that run already, by role.
+    keys : Path, optional
+    console : Console
+
+    Raises
+    ------
+    RunError
+        Where the scene differs from that of the checkpoint, or a role is attached that the scene does not have.
+    CheckpointError
+        Where the checkpoint is damaged.
+    ValueError
+        Where the cell file has mistakes.
+    """
+
+    def __init__(
+        self,
+        scene: LaminateScene,
+        folder: Path,
+        command: str,
+        *,
+        resume: bool,
+        attached: dict[str, str],
+        keys: Path | None,
+        console: Console,
+    ) -> None:
+        self.scene, self.folder, self._command, self._console = scene, folder, command, console
+        self._attached, self._keys = attached, keys
+        roles = {"micromechanics": scene.micromechanics.backend, "structure": scene.structure.backend}
+        unknown = set(attached) - set(roles)
+        if unknown:
+            raise RunError(f"--attach {unknown.pop()}: this scene has the services {' and '.join(roles)}")
+        for role, backend in roles.items():
+            if role not in attached:
+                find(role, backend)
+        self._cell: RegisterCell = find("micromechanics", scene.micromechanics.backend).read_cell(scene.cell_file)
+        self._checkpoint: tuple[dict[str, Any], dict[str, np.ndarray]] | None = None
+        if resume:
+            self._load_checkpoint()
+        if self._checkpoint is None and not resume:
+            set_aside(folder)
+        self._results: LaminateResults | None = None
+
+    def execute(self) -> int:
+        """Run to the end, to the first failure, or to Ctrl-C; return the exit status."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        services = Services(self.folder, uuid.uuid4().hex[:12])
+        began = time.perf_counter()
+        status: Status = "failed"
+        reason, code = "", 0
+        with Interruption() as interruption:
+            try:
+                reason = self._run(services, interruption)
+                status = "finished"
+            except Interrupted:
+                status, code = "interrupted", INTERRUPTED_STATUS
+                reason = f"stopped; go on with: {self._command} --resume"
+            except (ServiceDied, ConnectionProblem, ProtocolError) as error:
+                code, reason = 1, f"failed after increment {self._done}: {guilty(error, services)}"
+                if self._done and not isinstance(error, ProtocolError):
+                    reason += f"\ngo on with: {self._command} --resume"
+            finally:
+                timing = {role: client.timing for role, client in services.clients.items()}
+                services.stop()
+        if self._results is None:
+            self._console.print(reason, markup=False, highlight=False, soft_wrap=True, style="bold red")
+            return code
+        results = self._results
+        results.write(self.folder / "results.h5")
+        walls = {
+            role: WallTime(computing=one.computing, sending=one.sending, waiting=one.waiting)
+            for role, one in timing.items()
+        }
+        Summary(
+            scene=self.scene.name, title=self.scene.title, status=status, reason=reason, steps=results.increments,
+            steps_asked=results.increments, wall_seconds=time.perf_counter() - began, services=walls,
+            measures=measures_of(results), units=_UNITS, warnings=[], events=results.events,
+            versions=results.versions, seeds={}, command=self._command,
+        ).write(self.folder)  # fmt: skip
+        self._console.print(
+            reason, markup=False, highlight=False, soft_wrap=True, style="bold red" if code == 1 else "bold"
+        )
+        if status != "interrupted":
+            report = make_laminate_report(self.folder)
+            self._console.print(f"report: {report}", markup=False, soft_wrap=True)
+        return code
+
+    @property
+    def _done(self) -> int:
+        return self._results.increments if self._results is not None else 0
+
+    def _run(self, services: Services, interruption: Interruption) -> str:
+        """Return in a sentence why the run ended."""
+
+        def watch() -> None:
+            services.check()
+            if interruption.wanted:
+                raise Interrupted
+
+        with progress_bar(self._console) as progress:
+            task = progress.add_task("start services", total=None)
+            structure = self._start(services, watch)
+            configured = structure.call("configure", self._request(services), s.StructureConfigured)
+            self._results = results = self._begin(configured)
+            load = 0.0
+            if self._checkpoint is not None:
+                header, state = self._checkpoint
+                structure.call("restore", RestoreRequest(step=header["step"], state=state), Restored)
+                load = header["load"]
+            progress.reset(task, description=f"{configured.unknowns} unknowns", total=1.0)
+            progress.update(task, completed=load)
+            while load < 1.0:
+                made = structure.call("advance", s.StructureAdvance(), s.StructureAdvanced, step=results.increments)
+                load = made.load
+                self._note(made, configured.section)
+                stress = results.series["stress"]
+                peak = max(stress)
+                ended = load >= 1.0 or stress[-1] < self.scene.load.stop_below * peak
+                if ended or made.step % self.scene.output.fields_every == 0:
+                    self._frame(structure, made)
+                self._save(structure, made)
+                progress.update(
+                    task, completed=load, description=f"strain {100 * made.strain:.3g} %, {stress[-1] / 1e6:.4g} MPa"
+                )
+                if ended:
+                    break
+                if interruption.wanted:
+                    raise Interrupted
+        if load < 1.0:
+            return f"the stress fell below {self.scene.load.stop_below:g} of its peak"
+        return "the whole elongation is reached"
+
+    def _start(self, services: Services, watch: Callable[[], None]) -> Client:
+        wanted = self.scene.micromechanics
+        for role, backend, workers in (
+            ("micromechanics", wanted.backend, wanted.workers),
+            ("structure", self.scene.structure.backend, 1),
+        ):
+            if role in self._attached:
+                client = services.attach(role, role, self._attached[role], self._keys, watch)
+            else:
+                services.start(role, role, backend, workers=workers)
+                client = services.connect(role, watch)
+            client.watch_with(watch)
+        return services.clients["structure"]
+
+    def _request(self, services: Services) -> s.StructureConfigure:
+        scene = self.scene
+        plate, mesh, load = scene.laminate, scene.mesh, scene.load
+        cell = {name: getattr(self._cell, name) for name in RegisterCell.model_fields}
+        started = services.processes.get("micromechanics")
+        endpoint = self._attached["micromechanics"] if started is None else started.endpoint
+        return s.StructureConfigure(
+            **cell,
+            length=plate.length,
+            width=plate.width,
+            hole_diameter=plate.hole_diameter,
+            angles=radians(scene.modelled_angles),
+            ply_thickness=plate.ply_thickness,
+            quarter=scene.quarter,
+            lower_half=scene.lower_half,
+            mesh=s.PlateMesh(
+                **mesh.model_dump(exclude={"integration"}), mean_dilatation=mesh.integration == "selective"
+            ),
+            cohesive=None if scene.cohesive is None else s.CohesiveConstants(**scene.cohesive.model_dump()),
+            temperature=plate.temperature,
+            final_strain=load.final_strain,
+            increments=s.Increments(
+                first=load.first, least=load.least, most=load.most, iterations=load.iterations, tolerance=load.tolerance
+            ),
+            damage="elimination" if scene.micromechanics.failure else "none",
+            micromechanics=endpoint,
+        )
+
+    def _begin(self, configured: s.StructureConfigured) -> LaminateResults:
+        if self._checkpoint is not None:
+            kept = LaminateResults.read(self.folder / "results.h5")
+            kept.cut(self._checkpoint[0]["step"])
+            return kept
+        scene = self.scene
+        return LaminateResults(
+            scene={
+                "name": scene.name,
+                "title": scene.title,
+                "text": scene.text,
+                "overrides": list(scene.overrides),
+                "resolved": scene.model_dump(mode="json"),
+                "command": self._command,
+            },
+            materials=[material.name for material in self._cell.materials],
+            angles=np.array(scene.modelled_angles, dtype=np.float64),
+            nodes=configured.nodes,
+            bricks=configured.bricks,
+            ply=configured.ply,
+            section=configured.section,
+            versions=versions(),
+        )
+
+    def _note(self, made: s.StructureAdvanced, section: float) -> None:
+        assert self._results is not None
+        results = self._results
+        values = {
+            **{name: float(getattr(made, name)) for name in SERIES if hasattr(made, name)},
+            "stress": made.force / section,
+            **{f"seconds_{part}": spent for part, spent in made.seconds.items()},
+        }
+        for name, series in results.series.items():
+            series.append(values.get(name, 0.0))
+        before = np.sum(results.new_failures, axis=0) if results.new_failures else np.zeros_like(made.new_failures)
+        for ply, material in np.argwhere((made.new_failures > 0) & (before == 0)):
+            angle, name = results.angles[ply], results.materials[material]
+            results.events.append(
+                {
+                    "step": made.step,
+                    "strain": made.strain,
+                    "stress": made.force / section,
+                    "ply": int(ply),
+                    "material": name,
+                    "sentence": f"{made.force / section / 1e6:.4g} MPa, strain {100 * made.strain:.4g} %: "
+                    f"{name} fails first in ply {ply + 1} ({angle:g}°), {made.new_failures[ply, material]} subcells",
+                }
+            )
+        results.new_failures.append(made.new_failures)
+        results.layer_damage.append(made.layer_damage)
+
+    def _frame(self, structure: Client, made: s.StructureAdvanced) -> None:
+        assert self._results is not None
+        fields = structure.call("fields", FieldsRequest(names=FIELDS), FieldsReply).fields
+        self._results.frames.append(Frame(made.step, made.strain, **{name: fields[name] for name in FIELDS}))
+
+    def _save(self, structure: Client, made: s.StructureAdvanced) -> None:
+        """Commit results, then the checkpoint: a kill between the two leaves results that resume cuts back."""
+        assert self._results is not None
+        state = structure.call("checkpoint", None, CheckpointReply).state
+        self._results.write(self.folder / "results.h5")
+        header = {"step": made.step, "load": made.load, "scene": self.scene.model_dump(mode="json")}
+        write_checkpoint(self.folder, header, state)
+
+    def _load_checkpoint(self) -> None:
+        try:
+            header, state = read_checkpoint(self.folder)
+        except CheckpointError as error:
+            if (self.folder / "checkpoint.npz").exists():
+                raise
+            self._console.print(f"{error}: the run starts anew")
+            return
+        changed = differences(header["scene"], self.scene.model_dump(mode="json")) - {"load.stop_below"}
+        if changed:
+            raise RunError(f"the scene differs from that of the checkpoint in {', '.join(sorted(changed))}")
+        self._checkpoint = header, state
+
+
+def measures_of(results: LaminateResults) -> dict[str, float | None]:
+    """Key numbers of a run; units are in the summary."""
+    stress, strain = results.series["stress"], results.series["strain"]
+    if not stress:
+        return dict.fromkeys(_UNITS)
+    peak = int(np.argmax(stress))
+    first = results.events[0] if results.events else None
+    asked, spared = sum(results.series["queried"]), sum(results.series["spared"])
+    return {
+        "peak_stress": stress[peak],
+        "strain_at_peak": strain[peak],
+        "first_failure_strain": first["strain"] if first else None,
+        "first_failure_stress": first["stress"] if first else None,
+        "initial_stiffness": stress[0] / strain[0],
+        "failed_points": float(np.sum(results.new_failures)),
+        "queries_spared": spared / (asked + spared) if asked + spared else None,
+        "residual_max": max(results.series["residual"]),
+    }

@@ -1,0 +1,1 @@
+"""Cases of the group `structure`, each against an answer that is not ours."""
