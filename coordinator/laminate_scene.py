@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PrivateAttr
+from pydantic import Field
 
 from coordinator.layup import Layup, read_layup
 from coordinator.scene_checks import Problem
 from coordinator.scene_file import SceneError, file_text, problem_line, read_table, validated
-from coordinator.table import Count, Name, Number, Table
+from coordinator.table import Count, Name, Number, SceneTable, Table
 from coordinator.units import PositiveEnergyPerArea, PositiveLength, PositivePressure, Quantity, Temperature
 
 Share = Annotated[Number, Field(gt=0, le=1)]
@@ -98,7 +98,7 @@ class Output(Table):
     fields_every: Count = Field(default=5, description="increments between fields of the whole plate")
 
 
-class LaminateScene(Table):
+class LaminateScene(SceneTable):
     """A scene with a table ``[laminate]``."""
 
     title: str = Field(default="", description="a line for people")
@@ -110,30 +110,10 @@ class LaminateScene(Table):
     structure: Structure = Field(default_factory=Structure, description="the solver")
     output: Output = Field(default_factory=Output, description="what is written")
 
-    _name: str = PrivateAttr(default="")
-    _text: str = PrivateAttr(default="")
-    _overrides: tuple[str, ...] = PrivateAttr(default=())
-    _folder: Path = PrivateAttr(default=Path("."))
-
-    @property
-    def name(self) -> str:
-        """Name of the file without its suffix."""
-        return self._name
-
-    @property
-    def text(self) -> str:
-        """Text of the file."""
-        return self._text
-
-    @property
-    def overrides(self) -> tuple[str, ...]:
-        """Changes from the command line."""
-        return self._overrides
-
     @property
     def cell_file(self) -> Path:
         """The cell file."""
-        return self._folder / self.micromechanics.cell
+        return self.folder / self.micromechanics.cell
 
     @property
     def layup(self) -> Layup:
@@ -162,12 +142,11 @@ def load_laminate(path: str | Path, overrides: Sequence[str] = ()) -> LaminateSc
     file = Path(path)
     text = file_text(file)
     scene = read_table(LaminateScene, _checks, text, overrides, str(file))
-    scene._name, scene._text, scene._overrides = file.stem, text, tuple(overrides)
-    scene._folder = file.resolve().parent
+    scene.of_file(file.stem, text, overrides, file.resolve().parent)
     if not scene.cell_file.is_file():
         values = {"micromechanics": {"cell": scene.micromechanics.cell}}
         where = ("micromechanics", "cell")
-        raise SceneError([problem_line(str(file), where, values, f"there is no such file in {scene._folder}")])
+        raise SceneError([problem_line(str(file), where, values, f"there is no such file in {scene.folder}")])
     return scene
 
 
@@ -182,8 +161,7 @@ def read_resolved_laminate(values: dict[str, Any], name: str = "") -> LaminateSc
     scene, problems = validated(LaminateScene, _checks, values, si=True)
     if scene is None:
         raise SceneError([problem_line("resolved scene", where, values, allowed) for where, allowed in problems])
-    scene._name = name
-    return scene
+    return scene.of_file(name)
 
 
 def _checks(scene: Any, tables: set[str]) -> list[Problem]:

@@ -58,7 +58,7 @@ def load_scene(path: str | Path, overrides: Sequence[str] = ()) -> Scene:
     file = Path(path)
     text = file_text(file)
     scene = read_scene(text, file.stem, overrides, str(file))
-    scene._folder = file.resolve().parent
+    scene.of_file(file.stem, text, overrides, file.resolve().parent)
     sample = scene.atomistic.sample if scene.atomistic is not None and scene.atomistic.from_file else None
     if sample is not None and not (scene.folder / sample).is_file():
         raise SceneError([problem_line(str(file), ("atomistic", "sample"), {"atomistic": {"sample": sample}},
@@ -90,8 +90,7 @@ def read_scene(text: str, name: str, overrides: Sequence[str] = (), file: str = 
         As `load_scene`.
     """
     scene = read_table(Scene, cross_checks, text, overrides, file)
-    scene._name, scene._text, scene._overrides = name, text, tuple(overrides)
-    return scene
+    return scene.of_file(name, text, overrides)
 
 
 def read_resolved(values: dict[str, Any], name: str = "") -> Scene:
@@ -105,5 +104,4 @@ def read_resolved(values: dict[str, Any], name: str = "") -> Scene:
     scene, problems = validated(Scene, cross_checks, values, si=True)
     if scene is None:
         raise SceneError([problem_line("resolved scene", where, values, allowed) for where, allowed in problems])
-    scene._name = name
-    return scene
+    return scene.of_file(name)

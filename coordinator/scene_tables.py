@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PrivateAttr, model_validator
+from pydantic import Field, model_validator
 
 from coordinator.atomistic_tables import Atomistic
 from coordinator.continuum_tables import Continuum, CrackGrowth
 from coordinator.grid_lines import snapped_overlap
-from coordinator.table import Corners, Count, Name, Table
+from coordinator.table import Corners, Count, Name, SceneTable, Table
 from coordinator.units import (
     Length,
     PositiveEnergyPerArea,
@@ -144,7 +143,7 @@ class Crack(Table):
     )
 
 
-class Scene(Table):
+class Scene(SceneTable):
     """A whole scene in SI, with the text it was read from."""
 
     title: Name
@@ -154,31 +153,6 @@ class Scene(Table):
     handshake: Handshake | None = None
     regions: list[Place] = Field(default=[], description="where there are atoms; absent: around the origin")
     crack: Crack | None = None
-
-    _name: str = PrivateAttr(default="")
-    _folder: Path = PrivateAttr(default=Path())
-    _text: str = PrivateAttr(default="")
-    _overrides: tuple[str, ...] = PrivateAttr(default=())
-
-    @property
-    def name(self) -> str:
-        """Name of the scene: its file name without ending."""
-        return self._name
-
-    @property
-    def folder(self) -> Path:
-        """Folder of the scene file, from which names of files in it count."""
-        return self._folder
-
-    @property
-    def text(self) -> str:
-        """Text of the scene file, without overrides."""
-        return self._text
-
-    @property
-    def overrides(self) -> tuple[str, ...]:
-        """Overrides as they were given, ``key.sub=value``."""
-        return self._overrides
 
     @property
     def places(self) -> list[Place]:
