@@ -195,6 +195,8 @@ class AtomsReader:
     time : float64 array, shape (frames,)
         s.
     atom_id : int64 array, shape (atoms,)
+    species : int64 array, shape (atoms,)
+        Atomic numbers; 0 where no element is known.
     reference : float64 array, shape (atoms, 3)
         Positions without load, m.
     """
@@ -206,6 +208,7 @@ class AtomsReader:
         self.step: IntArray = group["position/step"][:]
         self.time: FloatArray = group["position/time"][:] * PICOSECOND
         self.atom_id: IntArray = group["id"][:].astype(np.int64)
+        self.species: IntArray = group["species"][:].astype(np.int64)
         self.reference: FloatArray = group["reference_position"][:] * NANOMETRE
 
     def __len__(self) -> int:

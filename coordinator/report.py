@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from coordinator.damage_figures import damage_pictures
 from coordinator.display_units import ANGSTROM, ATOMIC, ELECTRONVOLT, Units, units_of
 from coordinator.field_figures import (
     applied_strain,
@@ -105,7 +106,7 @@ def _report(results: Results, summary: Summary | None) -> str:
     if scene is not None:
         sections = [
             Section("Scene", "Where continuum and atoms are and how they overlap.", scene_pictures(results, scene)),
-            Section("Crack", "Atoms around the tip.", crack_pictures(results, scene)),
+            Section("Crack", "Atoms around the tip.", _crack_pictures(results, scene)),
             Section("Strain", "A uniform strain should pass unchanged.", strain_pictures(results, scene)),
             Section("Stress", "One colour scale for all times.", stress_pictures(results, scene)),
             Section("Over time", "", series_pictures(results, scene, summary)),
@@ -129,6 +130,12 @@ def _report(results: Results, summary: Summary | None) -> str:
         versions=results.versions,
         seeds=results.seeds,
     )
+
+
+def _crack_pictures(results: Results, scene: Scene) -> list[Picture]:
+    """Return pictures of the tip: a sample of a file may be a network in space, whose bonds no flat picture tells."""
+    of_a_file = scene.atomistic is not None and scene.atomistic.sample is not None
+    return damage_pictures(results, scene) if of_a_file else crack_pictures(results, scene)
 
 
 def _scene(results: Results) -> Scene | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from protocol.backend import Backend
 
 FRONT = "gmc_service.front:make_front"
-CELL_READER = "gmc_service.cell_message:read_cell_message"
+CELL_READER = "gmc_service.service:read_definition"
 
 BACKEND = Backend(
     name="gmc_service",

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gmc_service.cell import Cell
-from gmc_service.elimination import NOT_FINITE, WOULD_FAIL, number_by_first_use, query
+from gmc_service.elimination import NOT_A_SUBCELL, NOT_FINITE, WOULD_FAIL, number_by_first_use, query
 from gmc_service.failed_cell import FailedCell
 from gmc_service.failure import checks_of
 from gmc_service.gmc_reduced import is_orthotropic
@@ -248,6 +248,12 @@ class Evaluator:
             As `evaluate`.
         """
         strain, failed, history = self._checked(strain, failed, history)
+        for reason, wrong in (
+            (NOT_FINITE, ~np.isfinite(strain).all(axis=1)),
+            (NOT_A_SUBCELL, (failed[:, -1] & self._spare) != 0),
+        ):
+            if wrong.any():
+                self._refuse(strain, failed, int(np.argmax(wrong)), reason)
         temperature = _checked_temperature(temperature)
         if self._plastic is not None:
             flags = unpack_mask(failed, self.cell.subcells)
@@ -297,7 +303,11 @@ class Evaluator:
         ):
             if values.shape != (len(strain), width):
                 raise ValueError(f"{name} has shape {values.shape}; it must have {(len(strain), width)}")
-        return strain, np.ascontiguousarray(failed), np.ascontiguousarray(history, dtype=np.float64)
+        history = np.ascontiguousarray(history, dtype=np.float64)
+        if not np.isfinite(history).all():
+            point = int(np.argmin(np.isfinite(history).all(axis=1)))
+            raise ValueError(f"history[{point}] holds a value that is not finite; it must be one that a query returned")
+        return strain, np.ascontiguousarray(failed), history
 
     def _refuse(self, strain: NDArray[np.float64], failed: NDArray[np.uint8], point: int, reason: int) -> NoReturn:
         if reason == NOT_FINITE:

@@ -56,7 +56,11 @@ def fail(
 
     try:
         at = None if temperature is None else to_si(temperature, "temperature")
+    except ValueError as error:
+        raise click.BadParameter(f"{temperature!r}: {error}", param_hint="--temperature") from None
+    try:
         read = read_cell(cell)
+        read.check_temperature(read.stress_free_temperature if at is None else at)
         found = failure_path(read, component, end, others, at, method)
         out.mkdir(parents=True, exist_ok=True)
         picture = out / f"{read.name}_{component}.png"

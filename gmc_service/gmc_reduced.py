@@ -56,7 +56,7 @@ def homogenise(
     if is_orthotropic(stiffness):
         normal, shear = compact(stiffness)
         every = np.arange(len(stiffness), dtype=np.int64)
-        effective, concentration = _orthotropic(*shares, normal, shear, every)
+        effective, concentration = homogenise_orthotropic(*shares, normal, shear, every)
     else:
         macroscopic = np.eye(6)
         unstressed = np.zeros((len(stiffness), 6, 6))
@@ -254,8 +254,12 @@ def _orthotropic_many(heights, widths, normal, shear, choices):  # type: ignore[
 
 
 @nb.njit(nogil=True, cache=True)
-def _orthotropic(heights, widths, normal, shear, choice):  # type: ignore[no-untyped-def]
-    """B* and the concentration, shape (subcells, 6, 6), of one state."""
+def homogenise_orthotropic(heights, widths, normal, shear, choice):  # type: ignore[no-untyped-def]
+    """B*, shape (6, 6), and the concentration, shape (subcells, 6, 6), of one state.
+
+    `heights` and `widths` are shares of their sums; `normal` and `shear` are those of `compact`, `choice` has the
+    row of each subcell in them.
+    """
     rows, columns = len(heights), len(widths)
     kept, gone = min(rows, columns), max(rows, columns)
     tractions = np.empty((rows + columns, 3))

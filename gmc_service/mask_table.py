@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 from gmc_service.cell import Cell
 from gmc_service.failed_cell import FailedCell
 from gmc_service.failure import Checks
+from gmc_service.gmc_reduced import compact
 from gmc_service.homogenised import Homogenised
+from gmc_service.mask_filling import fill_entries
 
 #: Bytes of one table; with more masks than fit, the half that has not been used for longest is dropped.
 TABLE_BYTES: Final = 256 * 2**20
@@ -175,18 +177,22 @@ class MaskTable:
     checks : Checks
     temperature : float
         K.
-    compact : bool
+    compact_layout : bool
         Whether normal and shear components are uncoupled in every subcell and every state.
     """
 
-    def __init__(self, cell: Cell, method: str, checks: Checks, temperature: float, compact: bool) -> None:
+    def __init__(self, cell: Cell, method: str, checks: Checks, temperature: float, compact_layout: bool) -> None:
         self.cell = cell
         self.checks = checks
         self.change = temperature - cell.stress_free_temperature
         self.states = FailedCell(cell, method, temperature)
-        self._kept = np.array(COMPACT if compact else range(36))
+        self._kept = np.array(COMPACT if compact_layout else range(36))
         entry_bytes = 8 * len(checks.subcell) * (len(self._kept) + 7) + 8 * 44 + mask_bytes(cell.subcells)
         self.limit = max(LEAST_ENTRIES, TABLE_BYTES // entry_bytes)
+        # Where the compiled way of filling holds: stiffness of the intact subcells, then of the knocked down ones.
+        plain = compact_layout and method == "gmc" and cell.after_failure == "gmc"
+        intact = self.states.intact
+        self._kinds = np.concatenate([intact, intact * cell.knock_down]) if plain else None
         self._lock = Lock()
         self._query = 0
         self.snapshot = self._empty(16)
@@ -219,8 +225,13 @@ class MaskTable:
                 held = self._recent_half(held)
             first, last = held.count, held.count + len(new)
             held = self._with_capacity(held, last)
-            for entry, mask in enumerate(new, start=first):
-                self._fill(held, entry, mask)
+            held.masks[first:last] = new
+            held.used[first:last] = self._query
+            if self._kinds is None:
+                for entry, mask in enumerate(new, start=first):
+                    self._fill(held, entry, mask)
+            else:
+                self._fill_compiled(self._kinds, held, first, last)
             slots = held.slots.copy()
             _fill_slots(slots, held.masks, first, last)
             self.snapshot = replace(held, slots=slots, count=last)
@@ -230,14 +241,21 @@ class MaskTable:
         answer = self.states.homogenise(failed)
         alive = np.flatnonzero(~failed[self.checks.subcell])
         loads, offsets = self._loads(answer, failed, alive)
-        held.masks[entry] = mask
         held.stiffness[entry] = answer.stiffness
         held.locked[entry] = answer.stiffness @ answer.expansion * self.change
         held.loads[entry, : len(alive)] = loads.reshape(-1, 36)[:, self._kept]
         held.offsets[entry, : len(alive)] = offsets
         held.alive[entry, 0] = len(alive)
         held.alive[entry, 1 : 1 + len(alive)] = alive
-        held.used[entry] = self._query
+
+    def _fill_compiled(self, kinds: NDArray[np.float64], held: Snapshot, first: int, last: int) -> None:
+        heights, widths = (sizes / sizes.sum() for sizes in (self.cell.heights, self.cell.widths))
+        failed = unpack_mask(held.masks[first:last], self.cell.subcells)
+        normal, shear = (np.ascontiguousarray(one) for one in compact(kinds))
+        fill_entries(
+            heights, widths, normal, shear, kinds, self.states.expansion, self.change, self.checks.arrays, failed,
+            held.arrays, first,
+        )  # fmt: skip
 
     def _loads(
         self, answer: Homogenised, failed: NDArray[np.bool_], checks: NDArray[np.int64]

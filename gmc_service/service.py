@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gmc_service.cell import AFTER_FAILURE, Cell
+from gmc_service.cell_file import read_cell
 from gmc_service.evaluation import Answer, Evaluator
 from gmc_service.kept_cells import MOST_CELLS, KeptCells, unknown_cell
 from gmc_service.material import CRITERIA, Failure, Material, Plasticity
@@ -164,6 +165,11 @@ class MicromechanicsService(Service):
         if evaluator is None:
             raise unknown_cell(cell)
         return evaluator
+
+
+def read_definition(path: Path) -> m.RegisterCell:
+    """Return the message that defines the cell of a file; errors are those of `gmc_service.cell_file.read_cell`."""
+    return definition_of(read_cell(path))
 
 
 def definition_of(cell: Cell) -> m.RegisterCell:

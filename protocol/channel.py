@@ -103,7 +103,7 @@ class ZmqChannel(Channel):
         self._keys = keys
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context.instance()
         self._socket = self._context.socket(zmq.DEALER)
-        set_link(self._socket)
+        set_link(self._socket, endpoint)
         self._socket.setsockopt(zmq.IDENTITY, uuid.uuid4().hex.encode())
         self._socket.setsockopt(zmq.LINGER, 200)
         self._socket.setsockopt(zmq.SNDTIMEO, SEND_MS)

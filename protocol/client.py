@@ -41,8 +41,8 @@ LOOK_SECONDS = 0.1
 #: Seconds that a broken link may take to come back.
 LINK_GRACE_SECONDS = 5.0
 
-#: Requests of `call_each` that are on their way at once: one in work, one that waits, one whose reply is read.
-IN_FLIGHT = 3
+#: Requests of `call_each` that are on their way at once: one in work, one whose reply is read, others that wait.
+IN_FLIGHT = 4
 
 Reply = TypeVar("Reply", bound=Message)
 

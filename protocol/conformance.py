@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from protocol.conformance_cracks import CrackChecks
 from protocol.conformance_kit import Check
 from protocol.conformance_micromechanics import MicromechanicsChecks
 from protocol.conformance_overlap import OverlapChecks
+from protocol.conformance_structure import StructureChecks
 from protocol.conformance_wire import WireChecks
 from protocol.malformed_messages import malformed_messages
 
@@ -50,7 +52,7 @@ def check_service(
     return kit.checks
 
 
-class Kit(WireChecks, AtomisticChecks, CrackChecks, OverlapChecks, MicromechanicsChecks):
+class Kit(WireChecks, StructureChecks, AtomisticChecks, CrackChecks, OverlapChecks, MicromechanicsChecks):
     """One pass over one service; see `check_service`."""
 
     def run(self, shutdown: bool) -> None:
@@ -71,6 +73,9 @@ class Kit(WireChecks, AtomisticChecks, CrackChecks, OverlapChecks, Micromechanic
         self._check("control: status is answered", self._control_status)
         if self._welcome.role == "micromechanics":
             self._micromechanics()
+        elif self._welcome.role == "structure":
+            with ExitStack() as stack:
+                self._structure(self._serve_cells(stack))
         else:
             self._solver()
         if shutdown:
@@ -132,6 +137,35 @@ class Kit(WireChecks, AtomisticChecks, CrackChecks, OverlapChecks, Micromechanic
         )
         self._check("size: a message beyond the limit is refused", self._too_large)
         self._check("size: a query without points is answered", lambda: self._no_points(problem))
+        self._check("end: the service still answers", self._still_there)
+
+    def _structure(self, cells: str) -> None:
+        """Make the checks of a role that asks another service; the kit has that one."""
+        assert self._welcome is not None
+        if self._welcome.state == "new":
+            self._check("state new: what needs a problem is refused", self._nothing_is_set)
+        problem = self._check("problem: is set, every reply has its shape", lambda: self._set_laminate(cells))
+        if problem is None:
+            return
+        self._check("advance: increments, loads and strains", lambda: self._increments(problem))
+        self._check("fields: each named one is answered", lambda: self._laminate_fields(problem))
+        self._check("fields: an unknown name is refused", self._unknown_field_name)
+        self._check("cells: are asked, in queries that are counted", lambda: self._asks(problem))
+        self._check("force: a ply at an angle is as stiff as it must be", lambda: self._ply_axes(problem))
+        self._check("force: is that of the whole plate", lambda: self._symmetries(problem))
+        self._check("failure: is counted, kept, and ends with the load", lambda: self._all_fail(problem))
+        self._check("problem: is set anew", lambda: self._set(problem))
+        self._check("id: a repeated request is answered from its reply, run once", lambda: self._repeated(problem))
+        self._check("id: an old one is never run again", lambda: self._old_id(problem))
+        self._check("id: one that is used for another request is refused", lambda: self._reused_id(problem))
+        self._check("checkpoint: going back to it gives the same bits", lambda: self._go_back(problem))
+        self._check("checkpoint: a problem set anew goes on with the same bits", lambda: self._resume(problem))
+        self._check("restore: a state that does not fit is refused", self._wrong_states)
+        self._kinds(problem)
+        self._wrong_fields(problem)
+        self._check("control: status while it waits for its cells, and abort", lambda: self._abort_in_query(problem))
+        self._check("state failed: only configure helps", lambda: self._failed(problem))
+        self._check("size: a message beyond the limit is refused", self._too_large)
         self._check("end: the service still answers", self._still_there)
 
 

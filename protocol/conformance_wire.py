@@ -26,6 +26,7 @@ LISTS: dict[str, tuple[str, ...]] = {
     "continuum": ("fields",),
     "atomistic": ("fields", "force_fields", "materials"),
     "micromechanics": ("criteria", "after_failure"),
+    "structure": ("fields",),
 }
 
 

@@ -17,7 +17,7 @@ from protocol.tangent_table import join_tables
 Query = TypeVar("Query", bound=LocaliseRequest)
 
 #: Points of one part of a query: its arrays are a few megabytes, which memory that was used before can hold.
-PART_POINTS: Final = 65_536
+PART_POINTS: Final = 32_768
 
 
 def split(request: Query, bounds: Sequence[int]) -> Iterator[Query]:

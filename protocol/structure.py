@@ -27,7 +27,7 @@ class PlateMesh(Part):
     around: Count | None = Field(default=None, description="elements round a quarter of the hole, even; with a hole")
     radial: Count | None = Field(default=None, description="elements from the hole to the square round it; with a hole")
     growth: Positive = Field(
-        default=1.0, description="size of the outermost element of a ray over that of the one at the hole"
+        default=1.0, description="[1] size of the outermost element of a ray over that of the one at the hole"
     )
     beyond: Natural = Field(default=0, description="columns of elements between the square and each end; with a hole")
     columns: Count | None = Field(default=None, description="elements along x; without a hole")

@@ -168,7 +168,7 @@ def _draw(path: Path, medians: dict[str, float], parts: dict[str, Seconds], chec
     axes.set_xlim(0.0, 1.35 * max(medians.values()))
     axes.axvline(medians["in process"] / WANTED, color="black", linestyle=":", linewidth=1.0)
     axes.set_xlabel(f"seconds of a query of {POINTS:,} points; dotted: {WANTED:.0%} of the rate in process")
-    axes.legend(loc="lower right", fontsize="small")
+    figure.legend(loc="outside upper center", ncols=4, fontsize="small")
     figure.savefig(path, dpi=150)
     plt.close(figure)
 

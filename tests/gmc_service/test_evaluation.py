@@ -88,6 +88,19 @@ def test_compact_and_dense_layouts_are_equal() -> None:
     assert np.abs(a.stress - b.stress).max() < 1e-13 * np.abs(a.stress).max()
 
 
+def test_compiled_and_readable_tables_are_equal() -> None:
+    """The dense method fills its table in plain Python, entry by entry; the reduced one compiled."""
+    cell = random_cell(2, 3, 3)
+    compiled, readable = Evaluator(cell), Evaluator(cell, "gmc_dense")
+    strain = strains(4, 500)
+    for temperature in (300.0, 340.0):
+        a, b = ask(compiled, strain, temperature), ask(readable, strain, temperature)
+        assert np.array_equal(a.failed, b.failed)
+        assert np.array_equal(a.tangent_index, b.tangent_index)
+        assert np.abs(a.tangents - b.tangents).max() < 1e-11 * np.abs(a.tangents).max()
+        assert np.abs(a.stress - b.stress).max() < 1e-11 * np.abs(a.stress).max()
+
+
 def test_batch_equals_single_points_whatever_the_split() -> None:
     cell = random_cell(2, 3, 3)
     strain = strains(5, 600)
@@ -266,6 +279,8 @@ def test_bad_input_is_named(change: dict[str, object], message: str) -> None:
     }
     with pytest.raises(ValueError, match=message):
         evaluator.evaluate(**(arguments | change))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=message):
+        evaluator.localise(**(arguments | change))  # type: ignore[arg-type]
     assert not ask(evaluator, np.zeros((2, 6))).failed.any()
     with pytest.raises(ValueError, match="method is 'fem'"):
         Evaluator(two_by_two(), "fem")

@@ -13,9 +13,11 @@ from cell_definitions import material, query, random_cell, same_bits, square_fib
 
 from gmc_service import service as gmc
 from gmc_service.backend import BACKEND, HIGH_FIDELITY, MORI_TANAKA
+from gmc_service.cell import Cell
 from gmc_service.front import Executor, Front, Job, parts_of
 from gmc_service.kept_cells import MOST_CELLS, KeptCells
-from gmc_service.service import MicromechanicsService, make_gmc
+from gmc_service.material import Failure, Material, Plasticity, isotropic_stiffness
+from gmc_service.service import MicromechanicsService, cell_of, definition_of, make_gmc
 from protocol import micromechanics as m
 from protocol.backend import BackendError, find, installed
 from protocol.channel import InProcessChannel
@@ -183,6 +185,43 @@ def test_a_temperature_beyond_a_table_is_refused(client: Client) -> None:
     assert "351" in error.report.sentence and "350" in error.report.sentence
     too_cold = m.CellPropertiesRequest(cell=name, temperature=289.0)
     refused(client, "properties", too_cold, m.CellProperties, "bad_field", "temperature")
+
+
+def test_a_definition_is_the_cell_to_the_bit() -> None:
+    plastic = Material(
+        "all of it", np.array([250.0, 300.0]), np.stack([isotropic_stiffness(3e9, 0.3), isotropic_stiffness(2e9, 0.3)]),
+        np.array([[1e-5] * 3 + [0.0] * 3, [2e-5] * 3 + [0.0] * 3]),
+        (Failure("hashin", (1e8, np.inf, 2e8), shear=(np.inf, 3e7, np.inf)),), 120.0, Plasticity(5e7, 1e8),
+    )  # fmt: skip
+    cell = Cell(
+        np.array([0.1, 0.7]), np.array([0.3]), np.array([[0], [0]]), (plastic,), 280.0, 0.25, after_failure="floor"
+    )
+    message = definition_of(cell)
+    arrived = type(message).from_parts(message.plain_values(), message.array_values())
+    assert cell_of(arrived).identity() == cell.identity()
+    assert cell_of(arrived).materials[0].failures == plastic.failures
+
+
+@pytest.mark.parametrize("size", [1e-300, 1e-30, 1e3, 1e30, 1e150, 1e300])
+def test_extreme_numbers_are_answered_or_refused(client: Client, size: float) -> None:
+    cell = square_fibre()
+    stiff = [(size * np.array(cell.materials[0].stiffness[0])).tolist()]
+    strange = [cell.materials[0].model_copy(update={"stiffness": stiff}), cell.materials[1]]
+    requests = [
+        cell.model_copy(update={"heights": size * cell.heights}),
+        cell.model_copy(update={"heights": np.array([size, 1.0])}),
+        cell.model_copy(update={"materials": strange}) if size < 1e290 else cell,
+    ]
+    answered = 0
+    for request in requests:
+        try:
+            name = client.call("register", request, m.CellRegistered).cell
+            for points in (query(name, 5), query(name, 5, size=min(size, 1e290))):
+                answered += bool(np.isfinite(client.call("evaluate", points, m.Evaluated).stress).all())
+        except ProtocolError as error:
+            assert error.code in ("bad_field", "solver_failed"), error
+    assert answered or size > 1e100
+    assert client.call("register", cell, m.CellRegistered).subcells == 4
 
 
 # --- what is kept ------------------------------------------------------------------------------------------------

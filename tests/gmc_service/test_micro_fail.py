@@ -91,6 +91,19 @@ def test_stress_that_is_there_already_fails_at_no_strain() -> None:
     assert path.events[0].strain == 0.0 and path.events[0].before[1] > 0.0
 
 
+def test_a_cascade_is_told_in_stages() -> None:
+    cell = random_cell(4, 2, 3)
+    event = failure_path(cell, "eps22", 0.08, temperature=330.0).events[0]
+    assert [[cause.subcell for cause in stage] for stage in event.stages] == [[0], [2]]
+    evaluator = Evaluator(cell)
+    strain = np.eye(6)[[1]] * event.strain
+    # Before the first subcell has failed the second one is not at its limit: a hair below, none fails.
+    failed = np.zeros((1, 1), np.uint8)
+    assert not evaluator.evaluate(strain * (1.0 - 1e-7), 330.0, failed, np.zeros((1, 0))).failed.any()
+    first = np.array([[0b001]], np.uint8)
+    assert evaluator.evaluate(strain, 330.0, first, np.zeros((1, 0))).failed.tolist() == [[0b101]]
+
+
 def test_layers_in_series_and_side_by_side() -> None:
     weak, strong = (
         constant_material(name, isotropic_stiffness(1e9, 0.0), failures=(Failure("maximum_stress", (s, s, s)),))

@@ -10,7 +10,7 @@ import pytest
 SCALEBRIDGE = str(Path(sys.executable).parent / "scalebridge")
 
 
-@pytest.mark.parametrize("role", ["continuum", "atomistic"])
+@pytest.mark.parametrize("role", ["continuum", "atomistic", "micromechanics"])
 def test_real_services_hold_their_contract(role: str, tmp_path: Path) -> None:
     endpoint = f"ipc://{tmp_path / 's'}"
     log = tmp_path / "log.txt"
