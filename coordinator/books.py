@@ -11,8 +11,11 @@ apart from it::
     momentum    change of the atoms'     = - (mean reactions + reference forces) M dt
 
 `filter` is the energy that the way from material points to grid and back takes. The reference force of
-Eq 87 is subtracted from what the continuum gets, so it works on the anchors all the same. The last line misses by the
-one coupling step that the continuum's force is old, and by the work of dampers, whose force is handed over too.
+Eq 87 is subtracted from what the continuum gets, so it works on the anchors all the same. A mean reaction does half of
+its work on the way that the anchors came with and half on the next one, which is not made yet: what the continuum gave
+is told with the half that is missing. The line of the interface then misses by the difference between the force at
+the moment in which the anchors are moved and the mean of the two windows beside it, of the second order of the coupling
+step times the atoms' frequencies, and by the work of dampers, whose force is handed over too.
 Momentum misses by what the noise of a thermostat gives, which no reaction tells.
 """
 
@@ -87,7 +90,9 @@ class Books:
             known["atoms"] = sum(reply.kinetic_energy + reply.potential_energy for reply in atoms) - work
             # Put in by the anchors: what the springs store and what they gave to the atoms.
             put_in = springs + work - heat
-            known["interface"] = put_in + continuum.interface_work + self.reference_work
+            force = np.concatenate([reply.anchor_force for reply in atoms])
+            coming = 0.5 * time_step * float(np.sum(force * continuum.anchor_velocity))
+            known["interface"] = put_in + continuum.interface_work + coming + self.reference_work
         values: dict[str, float] = {}
         for name, value in known.items():
             values[f"residual_{name}"] = value - self.start.setdefault(name, value)

@@ -78,8 +78,13 @@ def hold(
         raise ValueError(f"load is {load.values.tolist()}; every component must be finite")
     strain = np.where(load.is_stress, 0.0, load.values)
     free = np.flatnonzero(load.is_stress)
-    for _ in range(_ITERATIONS):
-        answer = evaluator.evaluate(strain[None], temperature, failed, history)
+    for iteration in range(_ITERATIONS):
+        try:
+            answer = evaluator.evaluate(strain[None], temperature, failed, history)
+        except ValueError:
+            if iteration == 0:
+                raise
+            break  # ideal plasticity: the strain ran away
         stress, tangent = answer.stress[0], answer.tangents[answer.tangent_index[0]]
         apart = stress[free] - load.values[free]
         scale = max(np.abs(stress).max(), np.abs(load.values[free]).max(initial=0.0))

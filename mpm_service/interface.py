@@ -72,7 +72,8 @@ class Anchors:
     displacement, velocity, force : (n, d) ndarray
         Since registration, plus what they had [m]; of the last step [m/s]; on the continuum now [N].
     work : float
-        Done by the forces on the nodes since registration [J].
+        Done by the forces on the anchors since registration [J]: force times the mean of the ways that the anchors
+        make in the step before and in that of the force.
     """
 
     def __init__(
@@ -89,6 +90,7 @@ class Anchors:
         self.velocity = np.zeros_like(position)
         self.force = np.zeros_like(position)
         self.work = 0.0
+        self._given = 0.0  # work of the forces on the nodes in this step [J]
         self._mapping = mapping
         self._cracks = cracks
         self._node = np.zeros((len(position), 1), dtype=np.int64)
@@ -112,14 +114,19 @@ class Anchors:
             stencils.add_forces(self._node, self._weight, self._count, self.force, momentum)
 
     def book(self, momentum: FloatArray, halfway: FloatArray, duration: float) -> None:
-        """Add the work of the forces on the nodes."""
+        """Keep what work the forces do on the nodes, for `follow`."""
         if self.position.size:
-            self.work += duration * stencils.power_of(self._node, self._weight, self._count, self.force, halfway)
+            self._given = duration * stencils.power_of(self._node, self._weight, self._count, self.force, halfway)
 
-    def follow(self, motion: FloatArray, time_step: float) -> None:
-        """Move with the nodes."""
-        if self.position.size:
-            _ride(self._node, self._weight, self._count, motion, time_step, self.displacement, self.velocity)
+    def follow(self, motion: FloatArray, time_step: float) -> float:
+        """Move with the nodes; returns by how much the work on the anchors exceeds that on the nodes [J]."""
+        if not self.position.size:
+            return 0.0
+        before = self.velocity.copy()
+        _ride(self._node, self._weight, self._count, motion, time_step, self.displacement, self.velocity)
+        done = 0.5 * time_step * float(np.sum(self.force * (before + self.velocity)))
+        self.work += done
+        return done - self._given
 
 
 class CellForces:

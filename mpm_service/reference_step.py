@@ -170,7 +170,8 @@ class ReferenceStep:
         gain = float(np.sum(nodes.mass[:, None] * increment * (new - 0.5 * increment))) / factor
         halfway = 0.5 * (new / keep + new - increment)  # forces do their work with the mean of old and undamped new
         gain -= dt * float(np.sum(inner * halfway))
-        pushed = dt * float(np.sum(push * (nodes.shape @ halfway)) + np.sum(pull * (reader @ halfway)))
+        pushed = dt * float(np.sum(push * (nodes.shape @ halfway)))
+        given = dt * float(np.sum(pull * (reader @ halfway)))
 
         carrier = new  # the nodal velocity that moves points and anchors
         filters = scheme.filters(number)
@@ -192,14 +193,16 @@ class ReferenceStep:
                 mapped += STRAIN_SHARE * (self._filtered(nodes, mapped, after) - mapped)
             self._deform(nodes, mapped, share * dt)
         # Anchors move with the strain: the gradient of their displacement is then the one that the points carry.
+        ridden = self.anchor_velocity
         self.anchor_velocity = reader @ (carrier if scheme.integration == "usf" else self.strain_velocity)
         self.anchor_displacement = self.anchor_displacement + dt * self.anchor_velocity
+        pulled = 0.5 * dt * float(np.sum(pull * (ridden + self.anchor_velocity)))
         position += moved
         self._part("increment")[:] = moved
         left = self.damping.point_factor(dt)
         lost = (1.0 - left**2) * self.kinetic_energy
         velocity *= left
-        self.totals += work, pushed, loss + lost, gain - lost / factor
+        self.totals += work, pushed + pulled, loss + lost, gain + pulled - given - lost / factor
         self.travel += float(np.max(np.abs(moved), initial=0.0))
 
     # ---- between points and nodes ------------------------------------------------------------------

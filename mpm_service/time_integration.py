@@ -26,17 +26,26 @@ strain update, f the internal force at its start and f' that after it (found in 
 
     nodes     K(v_new) - K(v_old) = dt sum (f + f_ext) (v_old + v_new)/2 + edge work - damping loss
     strain    V' - V              = -dt sum (f + f')/2 v_s
+    anchors   W' - W              =  dt sum g (v_a + v_a')/2
 
-The first is exact, and all works are booked with the same mean velocity; the second is exact for a law that is linear.
+The first is exact, and all works but that of the anchors are booked with the same mean velocity; the second is exact
+for a law that is linear. Anchors ride with v_s, v_a and v_a' are their velocities in the step before and in this one,
+and g the forces on them: their springs are strained as the points are, so what they give is told in the same way.
 What the way to the nodes and back takes is the rest of each:
 
-    filter    [K - K(v_old)] + [K(v_new) - K'] + dt sum f (v_old + v_new)/2 - dt sum (f + f')/2 v_s
+    filter    [K - K(v_old)] + [K(v_new) - K'] - dt sum f (v_old + v_new)/2 + dt sum (f + f')/2 v_s
+              - dt sum g (v_old + v_new)/2 + (W' - W)
 
-The last two of its terms matter: what points lose with FLIP and MUSL or USF their strain energy gets, and with FMPM
+All but its first two terms matter: what points lose with FLIP and MUSL or USF their strain energy gets, and with FMPM
 short waves that are forced put more into strain than the nodes gave. A velocity lies half a step before the place and
 the stress that it leads to, so V is told less the half of the last strain update that f' has not been booked for:
 otherwise K + V would swing by the first order of dt. (USF updates the strain at the start of a step; with it the swing
 is in the filter loss.)
+
+Neither f nor g goes through a filter on its way to the nodes. On points that stay where they are v_s = F v_new, with F
+self-adjoint in the nodal masses m: strain and springs then belong to one conservative system of the masses m F^-1, and
+only the smoothing of velocities takes energy from it. Spread through F as well, g and f would have no common energy,
+and g would lose its moment where masses are uneven, since F keeps constants there but not linear functions.
 """
 
 from __future__ import annotations
@@ -116,8 +125,11 @@ class NodalLoad(Protocol):
 class Rider(Protocol):
     """What moves with the nodes."""
 
-    def follow(self, motion: FloatArray, time_step: float) -> None:
-        """Move with the velocities in the first columns of a table [m/s]."""
+    def follow(self, motion: FloatArray, time_step: float) -> float:
+        """Move with the velocities in the first columns of a table [m/s].
+
+        Returns by how much the work of its forces on it exceeds that on the nodes in this step [J].
+        """
 
 
 @dataclass
@@ -288,7 +300,8 @@ class TimeIntegration:
             mapping.move()
         if self.rider is not None:
             # With the strain: the gradient of what they have moved by is then the one that the points carry.
-            self.rider.follow(tables.motion if scheme.integration in ("usf", "usl") else tables.velocity, dt)
+            carrier = tables.motion if scheme.integration in ("usf", "usl") else tables.velocity
+            self.totals.unfiltered += self.rider.follow(carrier, dt)
         if self.cracks is not None:
             self.cracks.move(mapping.points.rows, mapping.points.row_of)
         if self.damping.point_rate > 0.0:

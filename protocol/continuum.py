@@ -272,7 +272,10 @@ class ContinuumAdvanced(Message):
     kinetic_energy: float = Field(description="[J] of the material points")
     strain_energy: float = Field(description="[J] of the material points")
     edge_work: float = Field(description="[J] work done by the edges since the start")
-    interface_work: float = Field(description="[J] work done by the reaction forces since the start")
+    interface_work: float = Field(
+        description="[J] work of the reaction forces since the start; each with half of the way that its anchor made in"
+        " the step before it and half of that in its own step"
+    )
     damping_loss: float = Field(description="[J] energy taken by damping since the start")
     load_work: float = Field(
         default=0.0,
