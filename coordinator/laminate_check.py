@@ -6,9 +6,9 @@ from coordinator.laminate_scene import LaminateScene
 from coordinator.units import LENGTHS, readable
 from protocol.backend import find
 
-#: Seconds of one solution for a million brick points: assembly, factorisation and micromechanics, on one core.
-#: Measured: 400 elements in the plane, 4 plies; factorisation grows faster than the points.
-_SECONDS_PER_POINT = 2.2e-5
+#: Seconds of one solution for each point (assembly, factorisation, micromechanics, on one core) with so many points,
+#: and the power with which they grow: factorisation grows faster than the points. Measured with 3584 and 7680 points.
+_SECONDS_PER_POINT, _AT_POINTS, _GROWTH = 1.5e-5, 3584, 0.4
 #: Solutions of an increment, before and while it fails.
 _SOLUTIONS = (2, 10)
 
@@ -29,7 +29,9 @@ def describe_laminate(scene: LaminateScene) -> str:
     plies = len(scene.modelled_angles)
     bricks = plane_elements(scene) * plies * scene.mesh.bricks_per_ply
     increments = round(1.0 / scene.load.most)
-    low, high = (_SECONDS_PER_POINT * 8 * bricks * increments * count for count in _SOLUTIONS)
+    points = 8 * bricks
+    solution = _SECONDS_PER_POINT * points * (points / _AT_POINTS) ** _GROWTH
+    low, high = (solution * increments * count for count in _SOLUTIONS)
     symmetry = [
         name for name, used in (("x = 0 and y = 0", scene.quarter), ("the middle plane", scene.lower_half)) if used
     ]
@@ -40,7 +42,7 @@ def describe_laminate(scene: LaminateScene) -> str:
         f"plies      {plate.layup}: {len(scene.layup.angles)} of {readable(plate.ply_thickness, LENGTHS)}, "
         f"{plies} modelled",
         f"symmetry   {' and '.join(symmetry) or 'none used'}",
-        f"elements   {bricks} bricks, {8 * bricks} points"
+        f"elements   {bricks} bricks, {points} points"
         + (", cohesive layers between plies of different angle" if scene.cohesive else ", plies are tied"),
         f"cell       {cell.phase.shape[0]} x {cell.phase.shape[1]} subcells of "
         f"{', '.join(material.name for material in cell.materials)}",

@@ -24,6 +24,10 @@ _PARTS = {
     "seconds_assembly": "assembly",
     "seconds_other": "other",
 }
+_TOOLS = (
+    ("ParaView", "File, Open, results.h5, reader VTKHDF: bricks with displacement, stress and failures (SI)"),
+    ("Python", "coordinator.laminate_results.LaminateResults.read(path), or h5py: everything"),
+)
 #: Plies that the maps show; of more, those with the most failures.
 _MAPS = 6
 
@@ -55,7 +59,7 @@ def _report(results: LaminateResults, summary: Summary | None) -> str:
             (
                 "Pull",
                 "Stress is the force over the cross section without the hole.",
-                [_curve(results), _failures(results)],
+                [_curve(results), _failures(results), *_layers(results)],
             ),
             ("Plies", "", _maps(results)),
             ("Work", "", [_times(results)]),
@@ -70,7 +74,7 @@ def _report(results: LaminateResults, summary: Summary | None) -> str:
         headline=headline,
         reason=summary.reason if summary else "The run goes on, or was killed; this is what it wrote so far.",
         facts=_facts(results, summary),
-        warnings=_warnings(results),
+        warnings=summary.warnings if summary else [],
         sections=[(title, text, [picture.html() for picture in pictures]) for title, text, pictures in sections],
         events=[event["sentence"] for event in results.events],
         numbers=[_number(name, value, units.get(name, "")) for name, value in measures.items() if value is not None],
@@ -79,6 +83,7 @@ def _report(results: LaminateResults, summary: Summary | None) -> str:
         scene_text=results.scene["text"],
         versions=results.versions,
         seeds={},
+        tools=_TOOLS,
     )
 
 
@@ -111,16 +116,6 @@ def _facts(results: LaminateResults, summary: Summary | None) -> list[tuple[str,
     return facts
 
 
-def _warnings(results: LaminateResults) -> list[str]:
-    scene = results.scene["resolved"]
-    if scene["micromechanics"]["failure"] and results.events:
-        return [
-            "With sudden failure of subcells and no fracture energy the peak depends on the mesh: compare meshes, or "
-            "give the materials of the cell a fracture energy."
-        ]
-    return []
-
-
 def _figure(height: float) -> tuple[Figure, Axes]:
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
     return figure, figure.subplots()
@@ -138,11 +133,12 @@ def _curve(results: LaminateResults) -> Picture:
         xytext=(6, 4),
         color=INK,
     )
-    for event, colour in zip(results.events[:4], _COLOURS[1:], strict=False):
-        axes.axvline(100 * event["strain"], color=colour, linewidth=0.9, linestyle="--",
+    for place, (event, colour) in enumerate(zip(results.events[:4], _COLOURS[1:], strict=False)):
+        # Dashes of one stand in the gaps of another at the same elongation.
+        axes.axvline(100 * event["strain"], color=colour, linewidth=1.0, linestyle=(4 * place, (4, 12)),
                      label=f"{event['material']}, ply {event['ply'] + 1}")  # fmt: skip
     if results.events:
-        axes.legend(title="first failure of", loc="lower right")
+        axes.legend(title="first failure of", loc="lower right", handlelength=4.0)
     axes.set_xlabel("elongation over length (%)")
     axes.set_ylabel("mean stress (MPa)")
     axes.set_ylim(bottom=0.0, top=1.15 * max(float(stress.max()), 1e-12))
@@ -171,6 +167,26 @@ def _failures(results: LaminateResults) -> Picture:
     axes.set_xlabel("elongation over length (%)")
     axes.set_ylabel("failed subcells, all points")
     return picture(figure, "What has failed", "Subcells of the cells at all points of a ply, by material.")
+
+
+def _layers(results: LaminateResults) -> list[Picture]:
+    damage = np.array(results.layer_damage)
+    if not damage.size:
+        return []
+    strain = 100 * np.array(results.series["strain"])
+    figure, axes = _figure(3.4)
+    for interface in range(damage.shape[1]):
+        lower, upper = results.angles[interface : interface + 2]
+        if lower != upper:  # plies of one angle have no layer between them
+            axes.plot(
+                strain, 100 * damage[:, interface], color=_COLOURS[interface % len(_COLOURS)],
+                linestyle="-" if interface < len(_COLOURS) else "--",
+                label=f"plies {interface + 1} and {interface + 2} ({lower:g}°, {upper:g}°)",
+            )  # fmt: skip
+    axes.legend()
+    axes.set_xlabel("elongation over length (%)")
+    axes.set_ylabel("parted area (%)")
+    return [picture(figure, "Plies that came apart", "Share of each interface that has no traction left.")]
 
 
 def _maps(results: LaminateResults) -> list[Picture]:
@@ -211,7 +227,7 @@ def _map(
     columns = 1 if extent[0] > 2.0 * extent[1] or len(plies) == 1 else 2
     rows = -(-len(plies) // columns)
     low, high = limits if limits is not None else (0.0, float(values.max()) or 1.0)
-    height = rows * (WIDTH / columns * 0.86 * extent[1] / extent[0] + 0.38) + 0.75
+    height = rows * (WIDTH / columns * 0.86 * extent[1] / extent[0] + 0.42) + 0.85
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
     found = figure.subplots(rows, columns)
     places = np.atleast_1d(np.asarray(found, dtype=object)).reshape(-1)

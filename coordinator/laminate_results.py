@@ -1,7 +1,7 @@
 """The results file of a laminate run, `results.h5`.
 
 ===================  =====================================================================
-``/VTKHDF``          bricks with their fields at some increments, VTKHDF (SI)
+``/VTKHDF``          bricks with their fields at some increments, VTKHDF (SI); tensors as xx, yy, zz, xy, yz, xz
 ``/series``          one array a quantity, one entry an increment, SI, with attribute `unit`
 ``/new_failures``    subcells that failed in each increment, by ply and material
 ``/events``          failure sequence, one JSON object an event
@@ -44,6 +44,8 @@ SERIES: dict[str, tuple[str, str]] = {
     "seconds_other": ("s", "spent otherwise"),
 }
 _VTK_HEXAHEDRON = 12
+#: Places of VTK's components xx, yy, zz, xy, yz, xz in ours, and the way back.
+_TO_VTK, _FROM_VTK = [0, 1, 2, 5, 3, 4], [0, 1, 2, 4, 5, 3]
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +142,7 @@ class LaminateResults:
                 series[name].attrs["unit"], series[name].attrs["description"] = SERIES[name]
             plies = len(self.angles)
             file["new_failures"] = np.array(self.new_failures, dtype=np.int64).reshape(-1, plies, len(self.materials))
-            file["layer_damage"] = np.array(self.layer_damage, dtype=np.float64).reshape(len(self.layer_damage), -1)
+            file["layer_damage"] = np.stack(self.layer_damage) if self.layer_damage else np.zeros((0, 0))
             file["events"] = [json.dumps(event) for event in self.events] or np.zeros(0, dtype="S1")
             scene = file.create_group("scene")
             for name, value in self.scene.items():
@@ -218,13 +220,17 @@ class LaminateResults:
         cell_offsets["Ply"] = still
         points["Displacement"] = np.concatenate([frame.displacement for frame in frames])
         point_offsets["Displacement"] = rows * nodes
-        cells["Stress"] = np.concatenate([frame.stress for frame in frames])
+        cells["Stress"] = np.concatenate([frame.stress[:, _TO_VTK] for frame in frames])
         cells["VonMises"] = np.concatenate([frame.von_mises() for frame in frames])
         cell_offsets["Stress"] = cell_offsets["VonMises"] = rows * count
-        for place, material in enumerate(self.materials):
-            name = f"Failed_{material}"
+        for place in range(len(self.materials)):
+            name = self._failed_name(place)
             cells[name] = np.concatenate([frame.failed[:, place] for frame in frames])
             cell_offsets[name] = rows * count
+
+    def _failed_name(self, place: int) -> str:
+        """Name of a field; a slash in the name of a material would be a group of the file."""
+        return "Failed_" + self.materials[place].replace("/", "_")
 
     def _read_frames(self, group: h5py.Group) -> list[Frame]:
         if "Steps" not in group:
@@ -232,8 +238,9 @@ class LaminateResults:
         strains, steps = group["Steps/Values"][:], group["Steps/Increment"][:]
         count = len(strains)
         displacement = group["PointData/Displacement"][:].reshape(count, -1, 3)
-        stress = group["CellData/Stress"][:].reshape(count, -1, 6)
-        failed = np.stack([group[f"CellData/Failed_{name}"][:].reshape(count, -1) for name in self.materials], axis=-1)
+        stress = np.ascontiguousarray(group["CellData/Stress"][:].reshape(count, -1, 6)[:, :, _FROM_VTK])
+        parts = [group[f"CellData/{self._failed_name(place)}"][:] for place in range(len(self.materials))]
+        failed = np.stack([part.reshape(count, -1) for part in parts], axis=-1)
         return [
             Frame(int(step), float(strain), displacement[k], stress[k], failed[k])
             for k, (step, strain) in enumerate(zip(steps, strains, strict=True))

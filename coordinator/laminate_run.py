@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 import uuid
 from collections.abc import Callable, Sequence
@@ -144,7 +145,7 @@ class LaminateRun:
         Summary(
             scene=self.scene.name, title=self.scene.title, status=status, reason=reason, steps=results.increments,
             steps_asked=results.increments, wall_seconds=time.perf_counter() - began, services=walls,
-            measures=measures_of(results), units=_UNITS, warnings=[], events=results.events,
+            measures=measures_of(results), units=_UNITS, warnings=self._warnings(), events=results.events,
             versions=results.versions, seeds={}, command=self._command,
         ).write(self.folder)  # fmt: skip
         self._console.print(
@@ -179,26 +180,38 @@ class LaminateRun:
                 load = header["load"]
             progress.reset(task, description=f"{configured.unknowns} unknowns", total=1.0)
             progress.update(task, completed=load)
-            while load < 1.0:
+            while not self._is_over(load):
                 made = structure.call("advance", s.StructureAdvance(), s.StructureAdvanced, step=results.increments)
                 load = made.load
                 self._note(made, configured.section)
                 stress = results.series["stress"]
-                peak = max(stress)
-                ended = load >= 1.0 or stress[-1] < self.scene.load.stop_below * peak
-                if ended or made.step % self.scene.output.fields_every == 0:
+                if self._is_over(load) or made.step % self.scene.output.fields_every == 0:
                     self._frame(structure, made)
                 self._save(structure, made)
                 progress.update(
                     task, completed=load, description=f"strain {100 * made.strain:.3g} %, {stress[-1] / 1e6:.4g} MPa"
                 )
-                if ended:
-                    break
                 if interruption.wanted:
                     raise Interrupted
         if load < 1.0:
             return f"the stress fell below {self.scene.load.stop_below:g} of its peak"
         return "the whole elongation is reached"
+
+    def _is_over(self, load: float) -> bool:
+        assert self._results is not None
+        stress = self._results.series["stress"]
+        return load >= 1.0 or (bool(stress) and stress[-1] < self.scene.load.stop_below * max(stress))
+
+    def _warnings(self) -> list[str]:
+        assert self._results is not None
+        sudden = {cell.name for cell in self._cell.materials if cell.failures and cell.fracture_energy is None}
+        found = sorted(sudden & {event["material"] for event in self._results.events})
+        if not found:
+            return []
+        return [
+            f"Subcells of {' and '.join(found)} lose their stiffness at once, so the peak depends on the mesh: compare"
+            " meshes, or give the material a fracture energy."
+        ]
 
     def _start(self, services: Services, watch: Callable[[], None]) -> Client:
         wanted = self.scene.micromechanics
@@ -303,8 +316,14 @@ class LaminateRun:
         assert self._results is not None
         state = structure.call("checkpoint", None, CheckpointReply).state
         self._results.write(self.folder / "results.h5")
-        header = {"step": made.step, "load": made.load, "scene": self.scene.model_dump(mode="json")}
+        header = {"step": made.step, "load": made.load, **self._settings()}
         write_checkpoint(self.folder, header, state)
+
+    def _settings(self) -> dict[str, Any]:
+        """Scene and cell, as they are read back from a checkpoint."""
+        arrays = {name: array.tolist() for name, array in self._cell.array_values().items()}
+        cell = json.loads(json.dumps({**self._cell.plain_values(), **arrays}))
+        return {"scene": self.scene.model_dump(mode="json"), "cell": cell}
 
     def _load_checkpoint(self) -> None:
         try:
@@ -314,9 +333,18 @@ class LaminateRun:
                 raise
             self._console.print(f"{error}: the run starts anew")
             return
-        changed = differences(header["scene"], self.scene.model_dump(mode="json")) - {"load.stop_below"}
+        settings = self._settings()
+        changed = differences(header["scene"], settings["scene"]) - {"load.stop_below"}
         if changed:
-            raise RunError(f"the scene differs from that of the checkpoint in {', '.join(sorted(changed))}")
+            raise RunError(
+                f"the scene differs from that of the checkpoint in {', '.join(sorted(changed))}; only load.stop_below "
+                "may change on --resume"
+            )
+        changed = differences(header["cell"], settings["cell"])
+        if changed:
+            raise RunError(
+                f"{self.scene.cell_file} differs from what the checkpoint was made with in {', '.join(sorted(changed))}"
+            )
         self._checkpoint = header, state
 
 

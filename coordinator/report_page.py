@@ -54,7 +54,7 @@ summary { cursor: pointer; }
 @media print { details { display: none; } h2 { break-after: avoid; } figure { break-inside: avoid; } }
 """
 
-_TOOLS = (
+TOOLS = (
     ("ParaView", "File, Open, results.h5, reader VTKHDF: material points (single precision, units as attributes)"),
     ("MDAnalysis", 'u.load_new("results.h5", format="H5MD"): atoms (H5MD, nm, ps)'),
     ("Python", "coordinator.results.Results(path), or h5py: everything"),
@@ -80,6 +80,7 @@ def page(
     scene_text: str,
     versions: dict[str, str],
     seeds: dict[str, int],
+    tools: Sequence[tuple[str, str]] = TOOLS,
 ) -> str:
     """Return the page. All texts are escaped here, except figures, which are HTML already.
 
@@ -97,6 +98,8 @@ def page(
     command, scene_text : str
     versions : dict of str to str
     seeds : dict of str to int
+    tools : sequence of (tool, how)
+        That open the results.
     """
     parts = [
         f'<p class="kicker">{escape(title)}</p>',
@@ -130,7 +133,7 @@ def page(
     rows = [(name, version, "") for name, version in versions.items()]
     rows += [(f"seed: {name}", str(seed), "") for name, seed in seeds.items()]
     body.append(_table(("package", "version", ""), rows, ()))
-    body.append(f"<h2>Open the results</h2><p></p>{_table(('tool', 'how'), _TOOLS, ())}")
+    body.append(f"<h2>Open the results</h2><p></p>{_table(('tool', 'how'), tools, ())}")
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'

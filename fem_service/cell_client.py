@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from fem_service.point_material import PointAnswer, PointState
 from protocol import micromechanics as m
 from protocol.client import Client
-from protocol.errors import ProtocolError
+from protocol.errors import ConnectionProblem, ProtocolError
 
 
 class CellClient:
@@ -21,8 +22,8 @@ class CellClient:
 
     Parameters
     ----------
-    client : Client
-        Of a service of the role `micromechanics`.
+    connect : callable
+        Returns a new client of the service; called again where the service was started anew in between.
     cell : RegisterCell
     temperature : float
         K, of all points.
@@ -40,19 +41,26 @@ class CellClient:
     Raises
     ------
     ProtocolError
-        If the service refuses the cell or the temperature.
+        If the service refuses the cell or the temperature; ``bad_field`` of `micromechanics`, if there is none.
     """
 
-    def __init__(self, client: Client, cell: m.RegisterCell, temperature: float, *, spare: bool = True) -> None:
-        self._client = client
+    def __init__(
+        self, connect: Callable[[], Client], cell: m.RegisterCell, temperature: float, *, spare: bool = True
+    ) -> None:
+        self._connect = connect
         self._cell = cell
         self._temperature = temperature
-        self.registered = client.call("register", cell, m.CellRegistered)
-        properties = client.call(
-            "properties",
-            m.CellPropertiesRequest(cell=self.registered.cell, temperature=temperature),
-            m.CellProperties,
-        )
+        try:
+            self._client = connect()
+        except ConnectionProblem as error:
+            raise ProtocolError("bad_field", f"micromechanics: {error}", field="micromechanics") from None
+        try:
+            self.registered = self._client.call("register", cell, m.CellRegistered)
+            request = m.CellPropertiesRequest(cell=self.registered.cell, temperature=temperature)
+            properties = self._client.call("properties", request, m.CellProperties)
+        except BaseException:
+            self._client.close()
+            raise
         self._stiffness = properties.stiffness
         self._locked = properties.stiffness @ properties.expansion * (temperature - cell.stress_free_temperature)
         self._safe = properties.safe_energy if spare else 0.0
@@ -71,7 +79,7 @@ class CellClient:
         self, strain: NDArray[np.float64], state: PointState, element_length: NDArray[np.float64]
     ) -> PointAnswer:
         """Answer to strains; see `fem_service.point_material.PointMaterial`."""
-        elastic = strain @ self._stiffness
+        elastic = self._elastic(strain)
         intact = ~(state.failed.any(axis=1) | state.history.any(axis=1))
         safe = intact & (0.5 * np.einsum("pi,pi->p", strain, elastic) < self._safe)
         asked = np.flatnonzero(~safe)
@@ -89,6 +97,17 @@ class CellClient:
         return PointAnswer(
             stress, PointState(failed, history), index, np.concatenate([self._stiffness[None], answer.tangents])
         )
+
+    def _elastic(self, strain: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Intact stiffness times strain, summed from the first component to the last, as the GMC service does it."""
+        found = strain[:, :1] * self._stiffness[:, 0]
+        for component in range(1, 6):
+            found += strain[:, component, None] * self._stiffness[:, component]
+        return found
+
+    def close(self) -> None:
+        """Let go of the service."""
+        self._client.close()
 
     def _ask(
         self,
@@ -108,13 +127,28 @@ class CellClient:
         began, computed = time.perf_counter(), self._client.timing.computing
         try:
             answer = self._client.call("evaluate", request, m.Evaluated)
+        except ConnectionProblem as error:
+            answer, computed = self._asked_anew(request, error), 0.0
         except ProtocolError as error:
             if error.code != "unknown_cell":
                 raise
-            # Another worker, or one that forgot: the definition makes it the same cell anywhere.
+            # It keeps only so many cells. The definition makes it the same cell again.
             self._client.call("register", self._cell, m.CellRegistered)
             answer = self._client.call("evaluate", request, m.Evaluated)
         spent = time.perf_counter() - began
         self.seconds += spent
         self.wire += max(0.0, spent - (self._client.timing.computing - computed))
         return answer
+
+    def _asked_anew(self, request: m.EvaluateRequest, problem: ConnectionProblem) -> m.Evaluated:
+        """Answer of a service that came in the place of one that is gone: it holds no state, so nothing is lost."""
+        try:
+            found = self._connect()
+            self._client.close()
+            self._client = found
+            self._client.call("register", self._cell, m.CellRegistered)
+            return self._client.call("evaluate", request, m.Evaluated)
+        except ConnectionProblem as error:
+            raise ProtocolError(
+                "solver_failed", f"micromechanics: {problem}; then {error}", field="micromechanics"
+            ) from None

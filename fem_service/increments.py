@@ -84,7 +84,7 @@ def next_increment(laminate: QuasiStatic, start: Equilibrium, size: float, end: 
             if size < steps.least:
                 raise NotConverged(
                     f"{error}; the increment is below the least, {steps.least:g}: a smaller least increment, a finer "
-                    "mesh or softening instead of sudden failure may help"
+                    "mesh, softening instead of sudden failure or a viscosity of cohesive layers may help"
                 ) from None
             continue
         iterations += found.iterations

@@ -58,6 +58,12 @@ class Lever:
         """Forces with which it holds its nodes, shape (1, 3 nodes), N."""
         return -self.force(displacement, load) * self.weights.reshape(1, -1)
 
+    def push(self, size: int) -> NDArray[np.float64]:
+        """Change of the forces on nodes per load, shape (size,), N/m."""
+        whole = np.zeros((size // 3, 3))
+        whole[self.nodes] = self.stiffness * self.weights
+        return whole.reshape(-1)
+
     def stiffnesses(self) -> NDArray[np.float64]:
         """Shape (1, 3 nodes, 3 nodes), N/m."""
         weights = self.weights.reshape(-1)

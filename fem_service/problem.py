@@ -40,6 +40,10 @@ def mesh_of(request: s.StructureConfigure) -> LaminateMesh:
 
 def _plane(request: s.StructureConfigure) -> PlaneMesh:
     mesh = request.mesh
+    if request.quarter and any(abs(np.sin(2.0 * angle)) > 1e-9 for angle in request.angles):
+        raise ProtocolError(
+            "bad_field", "quarter: x = 0 and y = 0 are planes of symmetry of plies along x and y alone", field="quarter"
+        )
     if request.hole_diameter is None:
         columns, rows = _needed(mesh, "columns"), _needed(mesh, "rows")
         if not request.quarter:

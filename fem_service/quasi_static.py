@@ -34,6 +34,8 @@ from fem_service.sparse_solution import HeldSystem
 
 #: A step is shortened, at most so often, while the work along it is above this part of that at its start.
 _SLACK, _SHORTENED = 0.5, 4
+#: Forces below this part of the largest stiffness times the largest displacement are rounding errors.
+_ROUNDING = 1e-14
 #: Iterations with consistent tangents, and then with secant stiffness of the layers, in turn.
 _TURN = 6
 
@@ -96,7 +98,7 @@ class Equilibrium:
 
 
 @dataclass(frozen=True, eq=False)
-class _Aim:
+class Aim:
     """Where an increment goes, and from where."""
 
     start: Equilibrium
@@ -105,7 +107,7 @@ class _Aim:
 
 
 @dataclass(frozen=True, eq=False)
-class _Response:
+class Response:
     """Forces of all elements at one displacement."""
 
     answer: PointAnswer
@@ -185,7 +187,7 @@ class QuasiStatic:
         if lever is not None:
             groups.append(lever.elements())
         self._pattern = SparsePattern(groups, len(mesh.nodes))
-        self._system = HeldSystem(self._pattern.size, grips.freedoms)
+        self.system = HeldSystem(self._pattern.size, grips.freedoms)
         self._turns = np.array([strain_to_ply(angle) for angle in mesh.angles])
         self.element_length = self._lengths()
         self.watch: Callable[[int], None] = lambda iteration: None
@@ -194,12 +196,12 @@ class QuasiStatic:
     @property
     def unknowns(self) -> int:
         """Degrees of freedom that are solved for."""
-        return len(self._system.free)
+        return len(self.system.free)
 
     @property
     def factorisations(self) -> int:
         """Factorisations made so far."""
-        return self._system.factorisations
+        return self.system.factorisations
 
     def rest(self) -> Equilibrium:
         """The unloaded laminate."""
@@ -226,21 +228,23 @@ class QuasiStatic:
         displacement = start.displacement.reshape(-1).copy()
         points = start.points
         target = load * self.grips.per_load
-        aim = _Aim(start, load, self._relaxation(load - start.load))
+        aim = Aim(start, load, self._relaxation(load - start.load))
         step: NDArray[np.float64] | None = None
-        slope = 0.0
+        slope = rounding = 0.0
         for iteration in range(1, self.iterations + 1):
             self.watch(iteration)
-            response = self._respond(displacement, points, aim)
+            response = self.respond(displacement, points, aim)
             if step is not None and iteration > 2:
                 displacement, response = self._shortened(displacement, step, slope, response, points, aim)
             # What failed for good stays; the rest of the state is that of the last increment.
             points = replace(start.points, failed=response.answer.state.failed)
-            out = self._out_of_balance(response)
-            if step is not None and out <= self.tolerance:
-                return self._equilibrium(aim, displacement, response, iteration, out)
+            worst = float(np.abs(response.force[self.system.free]).max(initial=0.0))
+            out = worst / response.largest if worst > 0.0 else 0.0
+            if step is not None and (out <= self.tolerance or worst <= rounding):
+                return self.equilibrium(aim, displacement, response, iteration, out)
             with self._timed("assembly"):
-                matrix = self._matrix(response, secant=(iteration - 1) // _TURN % 2 == 1)
+                matrix = self.stiffness(response, secant=(iteration - 1) // _TURN % 2 == 1)
+            rounding = _ROUNDING * float(np.abs(matrix.data).max() * np.abs(displacement).max())
             right = -response.force
             if step is None:
                 jump = np.zeros_like(displacement)
@@ -249,7 +253,7 @@ class QuasiStatic:
                 displacement += jump
             with self._timed("solution"):
                 try:
-                    step = self._system.solve(matrix, right)
+                    step = self.system.solve(matrix, right)
                 except ValueError as error:
                     if iteration == 1 and start.load == 0.0:
                         raise  # not held well enough, whatever the increment
@@ -271,10 +275,10 @@ class QuasiStatic:
         displacement: NDArray[np.float64],
         step: NDArray[np.float64],
         slope: float,
-        response: _Response,
+        response: Response,
         points: PointState,
-        aim: _Aim,
-    ) -> tuple[NDArray[np.float64], _Response]:
+        aim: Aim,
+    ) -> tuple[NDArray[np.float64], Response]:
         """The step that led to a displacement, shortened where it went too far; `slope` is the work at its start."""
         whole, low, high = 1.0, 0.0, 1.0
         work_low, work_high = slope, float(step @ response.force)
@@ -285,7 +289,7 @@ class QuasiStatic:
             # Between `low` and `high` the work changes its sign.
             part = low + (high - low) * min(max(work_low / (work_low - work_high), 0.1), 0.9)
             moved = displacement + (part - whole) * step
-            found = self._respond(moved, points, aim)
+            found = self.respond(moved, points, aim)
             work = float(step @ found.force)
             displacement, response, whole = moved, found, part
             if work < 0.0:
@@ -302,7 +306,8 @@ class QuasiStatic:
         yield
         self.seconds[part] = self.seconds.get(part, 0.0) + time.perf_counter() - began
 
-    def _respond(self, displacement: NDArray[np.float64], points: PointState, aim: _Aim) -> _Response:
+    def respond(self, displacement: NDArray[np.float64], points: PointState, aim: Aim) -> Response:
+        """Forces of all elements at displacements, shape (3 nodes,), with points that have failed so far."""
         nodal = displacement.reshape(-1, 3)
         strain = self.bricks.strains(nodal)
         turns = self._turns[self.mesh.ply]
@@ -320,9 +325,10 @@ class QuasiStatic:
         largest = max(float(np.abs(force).max()), 1e-4 * max(float(np.abs(part).max(initial=0.0)) for part in forces))
         if self.lever is not None:
             largest = max(largest, float(np.abs(forces[-1]).max()))
-        return _Response(answer, stress, separation, force, largest)
+        return Response(answer, stress, separation, force, largest)
 
-    def _matrix(self, response: _Response, *, secant: bool) -> scipy.sparse.csc_matrix:
+    def stiffness(self, response: Response, *, secant: bool) -> scipy.sparse.csc_matrix:
+        """Derivative of the forces, or with the secant stiffness of the layers."""
         table, index = self._turned(response.answer)
         stiffnesses = [self.bricks.stiffnesses(table, index)]
         if self.layers is not None and response.separation is not None:
@@ -341,30 +347,31 @@ class QuasiStatic:
         index = answer.index.reshape(-1, POINTS) + count * which[self.mesh.ply][:, None]
         return np.ascontiguousarray(table), np.ascontiguousarray(index)
 
-    def _out_of_balance(self, response: _Response) -> float:
-        worst = float(np.abs(response.force[self._system.free]).max(initial=0.0))
-        return worst / response.largest if response.largest > 0.0 else 0.0
+    def work_per_load(self, displacement: NDArray[np.float64], response: Response, load: float) -> float:
+        """`Equilibrium.force` of a response."""
+        force = float(response.force[self.grips.freedoms] @ self.grips.per_load)
+        if self.lever is not None:
+            force += self.lever.force(displacement.reshape(-1, 3), load)
+        return force
 
-    def _equilibrium(
+    def equilibrium(
         self,
-        aim: _Aim,
+        aim: Aim,
         displacement: NDArray[np.float64],
-        response: _Response,
+        response: Response,
         iterations: int,
         residual: float,
     ) -> Equilibrium:
+        """An equilibrium that has been found."""
         separation = response.separation
         nodal = displacement.reshape(-1, 3).copy()
-        force = float(response.force[self.grips.freedoms] @ self.grips.per_load)
-        if self.lever is not None:
-            force += self.lever.force(nodal, aim.load)
         return Equilibrium(
             load=aim.load,
             displacement=nodal,
             stress=response.stress,
             points=response.answer.state,
             layers=np.zeros((0, 4, 2)) if separation is None else separation.damage,
-            force=force,
+            force=self.work_per_load(displacement, response, aim.load),
             iterations=iterations,
             residual=residual,
             viscous_energy=aim.start.viscous_energy + self._viscous(aim.start, nodal, separation),

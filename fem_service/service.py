@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import zmq
 from numpy.typing import NDArray
 
 from fem_service.cell_client import CellClient
@@ -18,13 +19,15 @@ from fem_service.problem import cell_of, grips_of, law_of, mesh_of, shares, step
 from fem_service.quasi_static import Equilibrium, NotConverged, QuasiStatic
 from protocol import structure as s
 from protocol.client import Client
-from protocol.errors import ConnectionProblem, ProtocolError
+from protocol.errors import ProtocolError
 from protocol.messages import CheckpointReply, Empty, FieldsReply, FieldsRequest, Restored, RestoreRequest
 from protocol.service import Capabilities, Service
 from protocol.version import package_version
 
 #: Fields with one row a node, a brick, or a point of a brick.
 FIELDS: Final = ("displacement", "stress", "failed", "layer_damage")
+#: Within which a micromechanics service must answer, s.
+CONNECT_SECONDS = 30.0
 
 
 @dataclass
@@ -33,7 +36,6 @@ class _Problem:
 
     laminate: QuasiStatic
     cell: CellClient
-    client: Client
     steps: Steps
     force_share: float
     final_strain: float
@@ -67,29 +69,29 @@ class LaminateService(Service):
 
     def configure(self, request: s.StructureConfigure) -> s.StructureConfigured:
         """Mesh the laminate and register its cell."""
-        self.close()
-        self._problem, self._step = None, 0
         mesh, law = mesh_of(request), law_of(request)
+        cell = CellClient(lambda: self._client(request.micromechanics), cell_of(request), request.temperature)
         try:
-            client = Client.connect(request.micromechanics, "micromechanics", deadline=30.0)
-        except ConnectionProblem as error:
-            raise ProtocolError("bad_field", f"micromechanics: {error}", field="micromechanics") from None
-        cell = CellClient(client, cell_of(request), request.temperature)
-        laminate = QuasiStatic(
-            mesh,
-            cell,
-            grips_of(request, mesh),
-            law=law,
-            mean_dilatation=request.mesh.mean_dilatation,
-            tolerance=request.increments.tolerance,
-            iterations=request.increments.iterations,
-        )
+            laminate = QuasiStatic(
+                mesh,
+                cell,
+                grips_of(request, mesh),
+                law=law,
+                mean_dilatation=request.mesh.mean_dilatation,
+                tolerance=request.increments.tolerance,
+                iterations=request.increments.iterations,
+            )
+        except ValueError as error:  # elements that are turned inside out
+            cell.close()
+            raise ProtocolError("bad_field", f"mesh: {error}", field="mesh") from None
         force_share, section = shares(request)
         steps = steps_of(request)
+        # A refused request leaves the laminate that there was.
+        self.close()
+        self._step = 0
         self._problem = _Problem(
             laminate=laminate,
             cell=cell,
-            client=client,
             steps=steps,
             force_share=force_share,
             final_strain=request.final_strain,
@@ -169,7 +171,7 @@ class LaminateService(Service):
         """The whole state."""
         problem = self._configured()
         now = problem.equilibrium
-        numbers = np.array([now.load, now.force, now.residual, problem.size])
+        numbers = np.array([now.load, now.force, now.residual, problem.size, float(self._step)])
         state: dict[str, NDArray[Any]] = {
             "displacement": now.displacement,
             "stress": now.stress,
@@ -190,7 +192,7 @@ class LaminateService(Service):
             "failed": rest.points.failed,
             "history": rest.points.history,
             "layers": rest.layers,
-            "numbers": np.zeros(4),
+            "numbers": np.zeros(5),
         }
         for name, like in wanted.items():
             given = request.state.get(name)
@@ -203,7 +205,13 @@ class LaminateService(Service):
             if given.dtype.kind == "f" and not np.isfinite(given).all():
                 raise ProtocolError("bad_field", f"state: {name} holds a number that is not finite", field="state")
         given_state = {name: request.state[name].copy() for name in wanted}
-        load, force, residual, size = given_state["numbers"].tolist()
+        load, force, residual, size, step = given_state["numbers"].tolist()
+        if request.step != step:
+            raise ProtocolError(
+                "bad_field", f"step is {request.step}; the state is that of step {step:g}", field="step"
+            )
+        if not (0.0 <= load <= 1.0 and 0.0 < size <= 1.0):
+            raise ProtocolError("bad_field", f"state: numbers has load {load:g} and size {size:g}", field="state")
         problem.size = size
         problem.equilibrium = Equilibrium(
             load=load,
@@ -221,11 +229,23 @@ class LaminateService(Service):
     def close(self) -> None:
         """Let go of the micromechanics service."""
         if self._problem is not None:
-            self._problem.client.close()
+            self._problem.cell.close()
+
+    def _client(self, endpoint: str) -> Client:
+        """A new client of the micromechanics service, which `abort` can end while it waits."""
+        try:
+            return Client.connect(endpoint, "micromechanics", watch=self._look, deadline=CONNECT_SECONDS)
+        except zmq.ZMQError as error:
+            raise ProtocolError(
+                "bad_field", f"micromechanics: {endpoint!r} is no endpoint: {error}", field="micromechanics"
+            ) from None
+
+    def _look(self) -> None:
+        self.activity.progress(self.activity.done, self.activity.total, self.activity.note)
 
     def _configured(self) -> _Problem:
         if self._problem is None:
-            raise ProtocolError("wrong_state", "there is no laminate: the last configure failed")
+            raise ProtocolError("wrong_state", "there is no laminate")
         return self._problem
 
     def _force(self, problem: _Problem, at: Equilibrium) -> float:
@@ -250,7 +270,7 @@ class LaminateService(Service):
             return np.zeros(0)
         areas, interface = laminate.layers.areas, laminate.mesh.interface
         gone = (problem.equilibrium.layers[:, :, 0] >= 1.0) * areas
-        count = int(interface.max()) + 1
+        count = problem.plies - 1
         whole = np.bincount(interface, areas.sum(axis=1), count)
         # An interface between plies of one angle has no layer.
         return np.bincount(interface, gone.sum(axis=1), count) / np.where(whole > 0.0, whole, 1.0)

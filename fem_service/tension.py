@@ -57,7 +57,8 @@ def tension_grips(mesh: LaminateMesh, *, quarter: bool = False, lower_half: bool
         last = ends[np.lexsort((-nodes[ends, 1], nodes[ends, 2]))[:1]]
         other = on(0, high[0])
         opposite = other[np.lexsort((nodes[other, 1], nodes[other, 2]))[:1]]
-        for corner in (first, last, opposite):
+        # The planes of symmetry of a quarter keep it from turning already.
+        for corner in (first,) if quarter else (first, last, opposite):
             hold(corner, 2, 0.0)
     freedoms = np.array(sorted(held), dtype=np.int64)
     return Grips(freedoms, np.array([held[int(freedom)] for freedom in freedoms]))

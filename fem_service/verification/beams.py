@@ -124,9 +124,9 @@ class Beam:
 
 
 def split_beam(length: float, crack: float, *, coarse: float, fine: float, ahead: float) -> Beam:
-    """A split beam whose elements are `fine` from just behind the crack tip to `ahead` of it, and `coarse` elsewhere."""
-    behind = crack - 4.0 * fine
-    parts = [(0.0, behind, coarse), (behind, crack, fine), (crack, crack + ahead, fine), (crack + ahead, length, coarse)]
+    """A split beam with elements `fine` from just behind the crack tip to `ahead` of it, and `coarse` elsewhere."""
+    behind, beyond = crack - 4.0 * fine, crack + ahead
+    parts = [(0.0, behind, coarse), (behind, crack, fine), (crack, beyond, fine), (beyond, length, coarse)]
     columns = [np.zeros(1)]
     for low, high, size in parts:
         count = max(1, round((high - low) / size))

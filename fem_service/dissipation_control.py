@@ -1,0 +1,85 @@
+"""Equilibria after a given dissipation: the path of a laminate that snaps back, where the load has to fall.
+
+The load is an unknown as well. What closes the equations is the energy that an increment takes (Gutierrez, Commun.
+Numer. Meth. Eng. 20 (2004) 19-29; Verhoosel, Remmers and Gutierrez, Int. J. Numer. Meth. Eng. 77 (2009) 1290-1321):
+where damage unloads to the origin, the laminate holds F load / 2, so from (load_0, F_0) to (load, F) it takes
+
+    (F_0 load - F load_0) / 2
+
+That is always growing while something softens, whether the load rises or falls, and zero before: start from an
+equilibrium in which damage has begun. It is exact for softening; what fails at once takes what it takes and cannot be
+controlled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from fem_service.quasi_static import Aim, Equilibrium, NotConverged, QuasiStatic
+
+#: Allowed error of the dissipation, relative.
+_ACCURATE = 1e-6
+
+
+def advance_by_dissipation(laminate: QuasiStatic, start: Equilibrium, dissipation: float) -> Equilibrium:
+    """Find the equilibrium that has taken so much more energy; `start` stays as it is.
+
+    Parameters
+    ----------
+    laminate : QuasiStatic
+        Without viscosity.
+    start : Equilibrium
+        With damage begun.
+    dissipation : float
+        J.
+
+    Raises
+    ------
+    NotConverged
+        If there is none within the iterations.
+    ValueError
+        If the dissipation is not positive or the laminate has a viscosity.
+    """
+    if not dissipation > 0.0:
+        raise ValueError(f"dissipation is {dissipation}; it must be greater than 0")
+    if laminate.viscosity:
+        raise ValueError(f"viscosity is {laminate.viscosity}; it must be 0, since the load is not a time here")
+    load, points = start.load, start.points
+    displacement = start.displacement.reshape(-1).copy()
+    pulled = np.zeros_like(displacement)
+    pulled[laminate.grips.freedoms] = laminate.grips.per_load
+    for iteration in range(1, laminate.iterations + 1):
+        laminate.watch(iteration)
+        aim = Aim(start, load, 1.0)
+        response = laminate.respond(displacement, points, aim)
+        points = replace(start.points, failed=response.answer.state.failed)
+        force = laminate.work_per_load(displacement, response, load)
+        missing = dissipation - 0.5 * (start.force * load - force * start.load)
+        worst = float(np.abs(response.force[laminate.system.free]).max(initial=0.0))
+        if worst <= laminate.tolerance * response.largest and abs(missing) <= _ACCURATE * dissipation:
+            return laminate.equilibrium(aim, displacement, response, iteration, worst / response.largest)
+        matrix = laminate.stiffness(response, secant=False)
+        try:
+            back = laminate.system.solve(matrix, -response.force)
+            right = -(matrix @ pulled)
+            if laminate.lever is not None:
+                right += laminate.lever.push(len(displacement))
+            forth = pulled + laminate.system.solve(matrix, right)
+        except ValueError as error:
+            raise NotConverged(f"no equilibrium near load {load:g}: {error}") from None
+        # The force changes with the displacement, and with the load itself where there is a lever.
+        by_back, by_forth = float(pulled @ (matrix @ back)), float(pulled @ (matrix @ forth))
+        if laminate.lever is not None:
+            by_back -= laminate.lever.stiffness * laminate.lever.moved(back.reshape(-1, 3))
+            by_forth += laminate.lever.stiffness * (1.0 - laminate.lever.moved(forth.reshape(-1, 3)))
+        change = (missing + 0.5 * start.load * by_back) / (0.5 * (start.force - start.load * by_forth))
+        displacement = displacement + back + change * forth
+        load += change
+        if not (np.isfinite(load) and np.isfinite(displacement).all()):
+            break
+    raise NotConverged(
+        f"no equilibrium {dissipation:g} J beyond load {start.load:g} after {iteration} iterations; damage must have "
+        "begun, and a smaller dissipation may help"
+    )

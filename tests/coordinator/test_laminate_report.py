@@ -1,0 +1,105 @@
+"""The report of a laminate: one page that needs nothing else, for runs in every state, with numbers that are right."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import matplotlib.image
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from small_laminate import PEAK, small_laminate
+
+from coordinator.cli import cli
+from coordinator.laminate_report import make_laminate_report
+from coordinator.laminate_results import LaminateResults
+from coordinator.laminate_run import measures_of
+from coordinator.summary import Summary
+
+
+def summary(
+    results: LaminateResults, status: str = "finished", reason: str = "the whole elongation is reached"
+) -> Summary:
+    return Summary(
+        scene="small", title="Small <laminate>", status=status, reason=reason, steps=results.increments,  # type: ignore[arg-type]
+        steps_asked=results.increments, wall_seconds=12.34, services={}, measures=measures_of(results),
+        units={"peak_stress": "Pa"}, warnings=["the peak depends on the mesh"], events=results.events, versions={},
+        seeds={}, command="scalebridge run small.toml --out runs/small",
+    )  # fmt: skip
+
+
+def page(folder: Path, results: LaminateResults, told: Summary | None) -> str:
+    results.write(folder / "results.h5")
+    if told is not None:
+        told.write(folder)
+    return make_laminate_report(folder).read_text(encoding="utf-8")
+
+
+def images(text: str) -> list[tuple[str, bytes]]:
+    found = re.findall(r'src="data:image/(png|svg\+xml);base64,([^"]*)"', text)
+    assert len(found) == text.count("<img")
+    return [(kind, base64.b64decode(data)) for kind, data in found]
+
+
+def test_a_finished_run_shows_curve_maps_sequence_and_numbers(tmp_path: Path) -> None:
+    results = small_laminate()
+    text = page(tmp_path, results, summary(results))
+    assert "It bears 450\u00a0MPa at 1\u00a0% elongation." in text and '"status" style' in text
+    assert "Small &lt;laminate&gt;" in text and "<laminate>" not in text
+    for title in ("Mean stress against elongation", "What has failed", "von Mises stress at 0.8 %", "Failed matrix at"):
+        assert f"<h3>{title}" in text, title
+    assert "<h3>Failed fibre" not in text  # no frame after it
+    assert all(event["sentence"] in text for event in results.events)
+    assert "the peak depends on the mesh" in text and "LaminateResults.read" in text and "MDAnalysis" not in text
+    numbers = dict(re.findall(r"<tr><td>([^<]*)</td><td class=n>([^<]*)</td>", text))
+    assert numbers["Peak stress"] == "450" and numbers["Elongation at the peak"] == "1"
+    assert numbers["Elongation at the first failure"] == "0.6"
+    assert numbers["Stiffness at the start, hole included"] == "45"
+    kinds = [kind for kind, _ in images(text)]
+    assert kinds.count("png") == 2 and kinds.count("svg+xml") == 3
+    for kind, data in images(text):
+        if kind == "png":
+            picture = matplotlib.image.imread(io.BytesIO(data))
+            assert picture.shape[1] > 700 and np.ptp(picture[..., :3]) > 0.5
+        else:
+            assert ElementTree.fromstring(data).tag.endswith("svg")
+    assert "<script" not in text and "http" not in re.sub(r'base64,[^"]*', "", text)
+
+
+def test_cohesive_layers_have_a_figure(tmp_path: Path) -> None:
+    results = small_laminate(cohesive=True)
+    assert "<h3>Plies that came apart" in page(tmp_path, results, summary(results))
+
+
+@pytest.mark.parametrize("increments", [0, 1, 4])
+def test_a_run_that_failed_or_goes_on_has_a_page(tmp_path: Path, increments: int) -> None:
+    results = small_laminate(increments)
+    text = page(tmp_path, results, summary(results, "failed", "failed after increment 4: <gone>"))
+    assert "failed after increment 4: &lt;gone&gt;" in text
+    assert ("No increment was made." in text) == (increments == 0)
+    assert ("has not reached its peak" in text) == (increments > 0)
+    (tmp_path / "summary.json").unlink()
+    again = page(tmp_path, results, None)
+    assert "not finished" in again and "was killed" in again
+
+
+def test_measures_are_those_of_the_series() -> None:
+    results = small_laminate()
+    found = measures_of(results)
+    assert found["peak_stress"] == pytest.approx(PEAK) and found["strain_at_peak"] == 0.01
+    assert found["first_failure_strain"] == pytest.approx(0.006)
+    assert found["failed_points"] == 10 + 20 + 30 + 40 + 96
+    asked, spared = sum(results.series["queried"]), sum(results.series["spared"])
+    assert found["queries_spared"] == spared / (asked + spared)
+    assert found["residual_max"] == pytest.approx(6e-8)
+    assert all(value is None for value in measures_of(small_laminate(0)).values())
+
+
+def test_the_command_report_makes_the_page_of_a_laminate(tmp_path: Path) -> None:
+    small_laminate().write(tmp_path / "results.h5")
+    result = CliRunner().invoke(cli, ["report", str(tmp_path)])
+    assert result.exit_code == 0 and result.output.strip() == str(tmp_path / "report.html")

@@ -1,0 +1,243 @@
+"""A small laminate as real processes: to its end, killed at every place, stopped, attached, always the same curve."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from signal import SIGINT, SIGKILL
+
+import h5py
+import numpy as np
+import psutil
+import pytest
+from small_runs import StartsRuns
+
+from coordinator.laminate_results import LaminateResults
+from coordinator.run_process import RunProcess
+
+pytestmark = [pytest.mark.timeout(300), pytest.mark.xdist_group("laminate-run")]
+
+CELL = Path(__file__).parents[2] / "scenes" / "cells" / "im7_epon862_neat.toml"
+SCENE = f"""
+title = "Small cross-ply"
+[laminate]
+layup = "[0/90]s"
+ply_thickness = "0.25 mm"
+length = "8 mm"
+width = "8 mm"
+hole_diameter = "3.175 mm"
+[mesh]
+around = 6
+radial = 5
+growth = 3.0
+[load]
+final_strain = 0.012
+first = 0.1
+most = 0.1
+[micromechanics]
+cell = "{CELL}"
+[output]
+fields_every = 3
+"""
+INCREMENTS = 10
+SECONDS = 200.0
+#: Of a run: what differs from one run of the same scene to the next.
+TIMES = "seconds_"
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("scene") / "small_laminate.toml"
+    path.write_text(SCENE)
+    return path
+
+
+@pytest.fixture(scope="module")
+def unbroken(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a run that nobody disturbed."""
+    folder = tmp_path_factory.mktemp("alone") / "run"
+    with RunProcess(scene, folder) as run:
+        assert run.wait(SECONDS) == 0, run.printed
+        assert run.survivors(10) == []
+    return folder
+
+
+def differing(one: Path, other: Path) -> list[str]:
+    """Names of what two results files do not share bit by bit, times apart."""
+    found: list[str] = []
+
+    def compare(first: h5py.Group, second: h5py.Group, path: str) -> None:
+        assert set(first) == set(second), path
+        for name in first:
+            here = f"{path}/{name}"
+            if isinstance(first[name], h5py.Group):
+                compare(first[name], second[name], here)
+            elif not name.startswith(TIMES) and np.asarray(first[name]).tobytes() != np.asarray(second[name]).tobytes():
+                found.append(here)
+
+    with h5py.File(one / "results.h5") as a, h5py.File(other / "results.h5") as b:
+        for group in ("series", "VTKHDF"):
+            compare(a[group], b[group], group)
+        for name in ("new_failures", "layer_damage", "events"):
+            if a[name][:].tolist() != b[name][:].tolist():
+                found.append(name)
+    return found
+
+
+def summary(folder: Path) -> dict:
+    return dict(json.loads((folder / "summary.json").read_text()))
+
+
+def wait_for_increment(run: RunProcess, increment: int) -> None:
+    def reached() -> bool:
+        status = run.status("structure")
+        return status is not None and status.step >= increment
+
+    run.wait_until(reached, f"increment {increment}", SECONDS)
+
+
+def test_a_run_ends_with_results_summary_and_report(unbroken: Path) -> None:
+    results = LaminateResults.read(unbroken / "results.h5")
+    assert results.increments == INCREMENTS and results.series["load"][-1] == 1.0
+    assert [frame.step for frame in results.frames] == [3, 6, 9, 10]
+    told = summary(unbroken)
+    assert told["status"] == "finished" and told["reason"] == "the whole elongation is reached"
+    assert told["steps"] == INCREMENTS
+    assert told["measures"]["peak_stress"] == max(results.series["stress"])
+    assert told["measures"]["failed_points"] == np.sum(results.new_failures) > 0
+    assert 0.0 < told["measures"]["queries_spared"] < 1.0
+    assert "depends on the mesh" in told["warnings"][0]
+    assert results.events[0]["material"] == "matrix" and results.events[0]["ply"] == 1  # the ply across the pull
+    page = (unbroken / "report.html").read_text()
+    assert results.events[0]["sentence"] in page and told["warnings"][0] in page
+
+
+def test_before_anything_fails_the_stress_is_proportional(unbroken: Path) -> None:
+    results = LaminateResults.read(unbroken / "results.h5")
+    first = results.events[0]["step"] - 1
+    stiffness = np.array(results.series["stress"][:first]) / np.array(results.series["strain"][:first])
+    assert first >= 2
+    assert stiffness == pytest.approx(np.full(first, stiffness[0]), rel=1e-6)
+
+
+def test_a_killed_structure_service_is_named_and_resume_gives_the_same_bits(
+    start: StartsRuns, scene: Path, unbroken: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "run"
+    run = start(scene, folder)
+    wait_for_increment(run, 4)
+    run.send("structure", SIGKILL)
+    assert run.wait(SECONDS) == 1, run.printed
+    assert run.survivors(10) == []
+    told = summary(folder)
+    assert told["status"] == "failed"
+    assert (
+        f"failed after increment {told['steps']}: the structure service (fem_service) was killed by signal SIGKILL"
+        in (run.printed)
+    )
+    assert "--resume" in run.printed and 3 <= told["steps"] < INCREMENTS
+    assert "not finished" not in (folder / "report.html").read_text()
+    again = start(scene, folder, "--resume")
+    assert again.wait(SECONDS) == 0, again.printed
+    assert differing(unbroken, folder) == []
+    assert summary(folder)["measures"] == summary(unbroken)["measures"]
+
+
+@pytest.mark.slow
+def test_a_killed_worker_changes_no_bit(start: StartsRuns, scene: Path, unbroken: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    run = start(scene, folder, "--set", "micromechanics.workers=2")
+    wait_for_increment(run, 3)
+    front = run.service("micromechanics")
+    assert front is not None
+    workers = [child for child in front.children() if "serve" in child.cmdline()]
+    assert len(workers) == 2
+    workers[0].kill()
+    assert run.wait(SECONDS) == 0, run.printed
+    assert run.survivors(10) == []
+    assert (
+        f"its process {workers[0].pid} was killed by signal 9"
+        in (folder / "services" / "micromechanics" / "log.txt").read_text()
+    )
+    assert differing(unbroken, folder) == []
+
+
+def test_ctrl_c_keeps_what_was_made_and_resume_ends_it(
+    start: StartsRuns, scene: Path, unbroken: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "run"
+    run = start(scene, folder)
+    wait_for_increment(run, 3)
+    run.send("coordinator", SIGINT)
+    assert run.wait(SECONDS) == 130, run.printed
+    assert run.survivors(10) == []
+    told = summary(folder)
+    assert told["status"] == "interrupted" and "--resume" in told["reason"]
+    assert 2 <= told["steps"] < INCREMENTS
+    changed = start(scene, folder, "--resume", "--set", "load.final_strain=0.02")
+    assert changed.wait(SECONDS) == 1
+    assert "differs from that of the checkpoint in load.final_strain" in changed.printed
+    again = start(scene, folder, "--resume")
+    assert again.wait(SECONDS) == 0, again.printed
+    assert differing(unbroken, folder) == []
+
+
+@pytest.mark.slow
+def test_resume_with_another_cell_is_refused(start: StartsRuns, scene: Path, unbroken: Path, tmp_path: Path) -> None:
+    other = tmp_path / "cell.toml"
+    other.write_text(CELL.read_text())
+    file = tmp_path / "own_cell.toml"
+    file.write_text(
+        SCENE.replace(str(CELL), "cell.toml")
+        .replace("final_strain = 0.012", "final_strain = 0.001")
+        .replace("= 0.1", "= 1.0")
+    )
+    folder = tmp_path / "run"
+    first = start(file, folder)
+    assert first.wait(SECONDS) == 0, first.printed
+    once_more = start(file, folder, "--resume")  # nothing is left to do
+    assert once_more.wait(SECONDS) == 0, once_more.printed
+    assert LaminateResults.read(folder / "results.h5").increments == 1
+    other.write_text(CELL.read_text().replace("fibre_fraction = 0.6", "fibre_fraction = 0.5"))
+    before = (folder / "results.h5").read_bytes()
+    again = start(file, folder, "--resume")
+    assert again.wait(SECONDS) == 1
+    assert (folder / "results.h5").read_bytes() == before
+    assert "cell.toml differs from what the checkpoint was made with in heights" in again.printed
+
+
+def test_a_run_that_fails_in_its_first_increment_says_so_and_leaves_a_report(
+    start: StartsRuns, scene: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "run"
+    words = [f"load.{name}" for name in ("first=0.8", "most=0.8", "least=0.8", "iterations=1")]
+    run = start(scene, folder, *(word for setting in words for word in ("--set", setting)))
+    assert run.wait(SECONDS) == 1, run.printed
+    assert "failed after increment 0:" in run.printed and "the increment is below the least" in run.printed
+    assert "Traceback" not in run.printed
+    told = summary(folder)
+    assert told["status"] == "failed" and told["steps"] == 0
+    assert "No increment was made." in (folder / "report.html").read_text()
+    assert LaminateResults.read(folder / "results.h5").increments == 0
+
+
+@pytest.mark.slow
+def test_attached_services_serve_a_run_and_live_on(
+    start: StartsRuns, scene: Path, unbroken: Path, tmp_path: Path
+) -> None:
+    command = [sys.executable, "-m", "coordinator.cli", "serve", "micromechanics", "--folder", str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as cells:
+        try:
+            assert cells.stdout is not None
+            endpoint = next(line for line in cells.stdout if "listens at" in line).split()[-1]
+            run = start(scene, tmp_path / "run", "--attach", f"micromechanics={endpoint}")
+            assert run.wait(SECONDS) == 0, run.printed
+            assert cells.poll() is None and psutil.pid_exists(cells.pid)
+        finally:
+            cells.terminate()
+    assert differing(unbroken, tmp_path / "run") == []
+    wrong = start(scene, tmp_path / "wrong", "--attach", "continuum=ipc:///nowhere")
+    assert wrong.wait(SECONDS) == 1
+    assert "this scene has the services micromechanics and structure" in wrong.printed
