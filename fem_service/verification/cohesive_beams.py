@@ -1,8 +1,8 @@
 """Peak loads of split beams with cohesive layers against beam theory; see `fem_service.verification.beams`.
 
 Beam theory lets the crack grow at a point, the layer over a process zone ahead of it. That of the end-notched beam is
-long at the shear strength of the material (100 MPa: the peak is then 4.5 % below beam theory), so that beam has a layer
-of 200 MPa, whose zone is short against the crack. The layers of these two have a viscosity of 3e-5 of the last load or
+long at the shear strength of the material (100 MPa), so that beam has a layer of 200 MPa, whose zone is short against
+the crack. The layers of these two have a viscosity of 3e-5 of the last load or
 less, whose energy is checked against what the crack has taken. Mixed-mode bending snaps back as the crack goes from
 element to element: it has no viscosity, and past its elastic part increments are of equal dissipation.
 """
