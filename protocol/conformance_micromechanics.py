@@ -17,6 +17,8 @@ from protocol.messages import Message
 POINTS = 7
 #: Points of the query that is to last for seconds; with its arrays it stays below 4 MB.
 MANY_POINTS = 60_000
+#: Rows and columns of its cell: large enough that no compiled solver is done before it is told to stop.
+LONG_SIDE = 40
 #: Relative error of what must hold for any method.
 CLOSE = 1e-6
 STRENGTH = 5e7  # Pa, of the matrix
@@ -331,9 +333,9 @@ class MicromechanicsChecks(SolverChecks):
         matrix = micromechanics_cell().materials[1]
         large = micromechanics_cell().model_copy(
             update={
-                "heights": chance.uniform(1e-6, 2e-6, 12),
-                "widths": chance.uniform(1e-6, 2e-6, 12),
-                "phase": chance.integers(0, 2, (12, 12)),
+                "heights": chance.uniform(1e-6, 2e-6, LONG_SIDE),
+                "widths": chance.uniform(1e-6, 2e-6, LONG_SIDE),
+                "phase": chance.integers(0, 2, (LONG_SIDE, LONG_SIDE)),
                 "materials": [micromechanics_cell().materials[0], matrix],
             }
         )
