@@ -15,8 +15,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 
 from coordinator.verification_cases.momentum import HIT
 from coordinator.verification_cases.runs import run_text, shipped
@@ -113,7 +113,8 @@ def energy_books(folder: Path) -> list[Check]:
 
 def _draw(path: Path, kept: Kept) -> None:
     time = kept.time * 1e12
-    figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 3.8), layout="constrained")
+    figure = Figure(figsize=(10.0, 3.8), layout="constrained")
+    (left, right) = figure.subplots(1, 2)
     for part, value in kept.residuals.items():
         left.plot(time, 100.0 * value / kept.passed, lw=0.8, label=part)
     left.set(xlabel="time (ps)", ylabel="residual over energy passed (%)")
@@ -128,7 +129,6 @@ def _draw(path: Path, kept: Kept) -> None:
     right.set(xlabel="time (ps)", ylabel="energy (zJ)")
     right.legend()
     figure.savefig(path, dpi=130)
-    plt.close(figure)
 
 
 CASES = [Case("coupling", "energy-books", "10 ps at 1 K without thermostat: energies against works", energy_books)]

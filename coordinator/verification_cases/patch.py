@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 
 from coordinator.verification_cases.edge_texts import edge_text, gradient_text
 from coordinator.verification_cases.patch_strain import PatchState, StrainErrors, as_built, read_state, strain_errors
@@ -92,7 +92,8 @@ def run_states(body: Body, folder: Path) -> dict[str, StrainErrors]:
 
 def draw(errors: dict[str, StrainErrors], picture: Path) -> None:
     """Draw the error of the main component, one map for each state."""
-    figure, axes = plt.subplots(1, len(errors), figsize=(4.6 * len(errors), 4.2), layout="constrained")
+    figure = Figure(figsize=(4.6 * len(errors), 4.2), layout="constrained")
+    axes = figure.subplots(1, len(errors))
     for one, (state, found) in zip(np.atleast_1d(axes), errors.items(), strict=True):
         k = NAMES.index(state)
         place = np.concatenate([found.place, found.point]) * 1e10
@@ -103,7 +104,6 @@ def draw(errors: dict[str, StrainErrors], picture: Path) -> None:
         figure.colorbar(drawn, ax=one, label="error of the strain (%)", shrink=0.8)
     np.atleast_1d(axes)[0].set_ylabel("y (Å)")
     figure.savefig(picture, dpi=130)
-    plt.close(figure)
 
 
 def cold_checks(name: str, errors: dict[str, StrainErrors]) -> list[Check]:

@@ -14,11 +14,8 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 
 from fem_service.cohesive_law import CohesiveLaw
 from fem_service.dissipation_control import advance_by_dissipation
@@ -107,7 +104,8 @@ def _energy_of_crack(test: _Test, at: Equilibrium) -> float:
 def _run(names: tuple[str, ...], folder: Path) -> list[Check]:
     checks = []
     every = _tests()
-    figure, axes = plt.subplots(1, len(names), figsize=(5 * len(names), 4), layout="constrained", squeeze=False)
+    figure = Figure(figsize=(5 * len(names), 4), layout="constrained")
+    axes = figure.subplots(1, len(names), squeeze=False)
     for axis, name in zip(axes[0], names, strict=True):
         test = every[name]
         problem = test.problem
@@ -144,7 +142,6 @@ def _run(names: tuple[str, ...], folder: Path) -> list[Check]:
         axis.set(xlabel="displacement, mm", ylabel="load, N", title=name)
         axis.legend()
     figure.savefig(folder / "load_displacement.png", dpi=120)
-    plt.close(figure)
     return checks
 
 

@@ -5,11 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fem_service.cohesive_law import CohesiveLaw
@@ -107,14 +104,14 @@ def _cantilever(folder: Path) -> list[Check]:
     lines = ["columns rows error_full_integration error_mean_dilatation"]
     lines += [f"{n[0]} {n[1]} {errors[False][k]:.5e} {errors[True][k]:.5e}" for k, n in enumerate(counts)]
     (folder / "cantilever.txt").write_text("\n".join(lines) + "\n")
-    figure, axes = plt.subplots(figsize=(5, 4), layout="constrained")
+    figure = Figure(figsize=(5, 4), layout="constrained")
+    axes = figure.subplots()
     for mean, label in ((False, "full integration"), (True, "mean dilatation")):
         axes.loglog([n[1] for n in counts], errors[mean], "o-", label=label)
     axes.loglog([1, 8], [errors[False][0], errors[False][0] / 64], "k--", label="second order")
     axes.set(xlabel="bricks through the depth", ylabel="stiffer than Timoshenko's beam by")
     axes.legend()
     figure.savefig(folder / "cantilever.png", dpi=120)
-    plt.close(figure)
     checks = []
     for mean, label in ((False, "full integration"), (True, "mean dilatation")):
         error = errors[mean]
@@ -146,7 +143,8 @@ def _opened(law: CohesiveLaw, mix: float, sizes: NDArray[np.float64]) -> NDArray
 def _cohesive(folder: Path) -> list[Check]:
     opened = _TABLE.final_opening(0.0) * 1e3
     checks = [Check("final opening in mode I", opened, 6.66666667e-3, 1e-6, "Table 6.6, Eq 91", "mm")]
-    figure, axes = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
+    figure = Figure(figsize=(9, 4), layout="constrained")
+    axes = figure.subplots(1, 2)
     for axis, (name, law) in zip(axes, (("Table 6.6", _TABLE), ("soft", _SOFT)), strict=True):
         for mix, label in ((0.0, "mode I"), (0.25, "25 % mode II"), (0.5, "50 % mode II"), (1.0, "mode II")):
             onset = 1.0 / (law.stiffness * np.sqrt((1 - mix) / law.normal_strength**2 + mix / law.shear_strength**2))
@@ -163,7 +161,6 @@ def _cohesive(folder: Path) -> list[Check]:
         axis.set(xlabel="opening, um", ylabel="traction, MPa", title=f"{name}: K = {law.stiffness:g} Pa/m")
     axes[0].legend()
     figure.savefig(folder / "cohesive.png", dpi=120)
-    plt.close(figure)
     return checks
 
 

@@ -5,11 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fem_service.laminate_mesh import LaminateMesh, stack
@@ -147,7 +144,8 @@ def _bending(folder: Path) -> list[Check]:
         found, mesh, moved = bent(size, per_ply)
         lines.append(f"{size * 1e3:g} {per_ply} " + " ".join(f"{v:+.5f}" for v in (found - wanted) / scale))
     (folder / "bending.txt").write_text("\n".join(lines) + "\n")
-    figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
+    figure = Figure(figsize=(6, 4), layout="constrained")
+    axes = figure.subplots()
     for axis, name, k in ((0, "along x at y = 0", 2), (1, "along y at x = 0", 3)):
         line = np.flatnonzero((mesh.nodes[:, 1 - axis] == 0.0) & (mesh.nodes[:, 2] == 0.0))
         place = mesh.nodes[line, axis]
@@ -156,7 +154,6 @@ def _bending(folder: Path) -> list[Check]:
     axes.set(xlabel="mm from the middle", ylabel="deflection, nm, at 1 N/m", title="[0/90] in tension; lines: CLT")
     axes.legend()
     figure.savefig(folder / "bending.png", dpi=120)
-    plt.close(figure)
     limit = found + (found - coarser) / 3.0  # bricks are of second order
     checks = []
     for k, name in enumerate(names):

@@ -23,11 +23,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fem_service.laminate_mesh import stack
@@ -122,7 +119,8 @@ def _open_hole(folder: Path) -> list[Check]:
     ply = transversely_isotropic(along, across, poisson, poisson_across, shear, shear_across)
     metal = isotropic(70e9, 0.3)
     checks, lines = [], ["material d_over_W mesh K_T reference error"]
-    figure, axes = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
+    figure = Figure(figsize=(10, 4), layout="constrained")
+    axes = figure.subplots(1, 2)
     for name, stiffness, ratio, wanted, source in (
         ("isotropic", metal, 0.1, heywood(0.1), "Kirsch with Heywood's finite width"),
         ("isotropic", metal, 0.2, heywood(0.2), "Kirsch with Heywood's finite width"),
@@ -151,7 +149,6 @@ def _open_hole(folder: Path) -> list[Check]:
     for axis in axes:
         axis.legend()
     figure.savefig(folder / "stress_concentration.png", dpi=120)
-    plt.close(figure)
     return checks
 
 

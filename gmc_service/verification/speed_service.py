@@ -13,8 +13,8 @@ from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Final
 
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 
 from gmc_service.evaluation import Answer, Evaluator
 from gmc_service.service import definition_of
@@ -148,7 +148,8 @@ def _seconds(work: Callable[[], object]) -> float:
 
 
 def _draw(path: Path, medians: dict[str, float], parts: dict[str, Seconds], checked: float) -> None:
-    figure, axes = plt.subplots(figsize=(8.0, 3.2), layout="constrained")
+    figure = Figure(figsize=(8.0, 3.2), layout="constrained")
+    axes = figure.subplots()
     labels = list(medians)
     colours = ("#4477aa", "#ccbb44", "#ee6677", "#bbbbbb")
     named: set[str] = set()
@@ -170,7 +171,6 @@ def _draw(path: Path, medians: dict[str, float], parts: dict[str, Seconds], chec
     axes.set_xlabel(f"seconds of a query of {POINTS:,} points; dotted: {WANTED:.0%} of the rate in process")
     figure.legend(loc="outside upper center", ncols=4, fontsize="small")
     figure.savefig(path, dpi=150)
-    plt.close(figure)
 
 
 CASES: list[Case] = [
