@@ -17,14 +17,22 @@ from coordinator.interruption import Interrupted, Interruption
 from coordinator.laminate_report import make_laminate_report
 from coordinator.laminate_results import SERIES, Frame, LaminateResults
 from coordinator.laminate_scene import LaminateScene, load_laminate, radians
-from coordinator.launcher import ServiceDied, Services
+from coordinator.launcher import Services
 from coordinator.output import versions
-from coordinator.run import INTERRUPTED_STATUS, RunError, command_line, differences, guilty, progress_bar, set_aside
-from coordinator.summary import Status, Summary, WallTime
+from coordinator.run import (
+    ENDINGS,
+    Ending,
+    RunError,
+    command_line,
+    differences,
+    ending,
+    progress_bar,
+    set_aside,
+)
+from coordinator.summary import Summary, WallTime
 from protocol import structure as s
 from protocol.backend import find
-from protocol.client import Client
-from protocol.errors import ConnectionProblem, ProtocolError
+from protocol.client import Client, Timing
 from protocol.messages import CheckpointReply, FieldsReply, FieldsRequest, Restored, RestoreRequest
 from protocol.micromechanics import RegisterCell
 
@@ -117,44 +125,39 @@ class LaminateRun:
         self.folder.mkdir(parents=True, exist_ok=True)
         services = Services(self.folder, uuid.uuid4().hex[:12])
         began = time.perf_counter()
-        status: Status = "failed"
-        reason, code = "", 0
         with Interruption() as interruption:
             try:
-                reason = self._run(services, interruption)
-                status = "finished"
-            except Interrupted:
-                status, code = "interrupted", INTERRUPTED_STATUS
-                reason = f"stopped; go on with: {self._command} --resume"
-            except (ServiceDied, ConnectionProblem, ProtocolError) as error:
-                code, reason = 1, f"failed after increment {self._done}: {guilty(error, services)}"
-                if self._done and not isinstance(error, ProtocolError):
-                    reason += f"\ngo on with: {self._command} --resume"
+                end = Ending("finished", self._run(services, interruption), 0)
+            except ENDINGS as error:
+                kept = f"results up to increment {self._done} are in {self.folder}" if self._done else ""
+                end = ending(error, services, f"increment {self._done}", kept, self._command)
+            except BaseException as error:
+                sentence = f"failed after increment {self._done}: {str(error) or type(error).__name__}"
+                end = Ending("failed", sentence, 1)
+                raise
             finally:
                 timing = {role: client.timing for role, client in services.clients.items()}
                 services.stop()
-        if self._results is None:
-            self._console.print(reason, markup=False, highlight=False, soft_wrap=True, style="bold red")
-            return code
-        results = self._results
+                if self._results is not None:
+                    self._close(self._results, end, time.perf_counter() - began, timing)
+        end.tell(self._console)
+        if self._results is not None and end.status != "interrupted":
+            report = make_laminate_report(self.folder)
+            self._console.print(f"report: {report}", markup=False, soft_wrap=True)
+        return end.code
+
+    def _close(self, results: LaminateResults, end: Ending, seconds: float, timing: dict[str, Timing]) -> None:
         results.write(self.folder / "results.h5")
         walls = {
             role: WallTime(computing=one.computing, sending=one.sending, waiting=one.waiting)
             for role, one in timing.items()
         }
         Summary(
-            scene=self.scene.name, title=self.scene.title, status=status, reason=reason, steps=results.increments,
-            steps_asked=results.increments, wall_seconds=time.perf_counter() - began, services=walls,
+            scene=self.scene.name, title=self.scene.title, status=end.status, reason=end.sentence,
+            steps=results.increments, steps_asked=results.increments, wall_seconds=seconds, services=walls,
             measures=measures_of(results), units=_UNITS, warnings=self._warnings(), events=results.events,
             versions=results.versions, seeds={}, command=self._command,
         ).write(self.folder)  # fmt: skip
-        self._console.print(
-            reason, markup=False, highlight=False, soft_wrap=True, style="bold red" if code == 1 else "bold"
-        )
-        if status != "interrupted":
-            report = make_laminate_report(self.folder)
-            self._console.print(f"report: {report}", markup=False, soft_wrap=True)
-        return code
 
     @property
     def _done(self) -> int:

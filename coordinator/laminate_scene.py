@@ -11,7 +11,7 @@ from pydantic import Field
 
 from coordinator.layup import Layup, read_layup
 from coordinator.scene_checks import Problem
-from coordinator.scene_file import SceneError, file_text, problem_line, read_table, validated
+from coordinator.scene_file import SceneError, file_text, problem_line, read_table
 from coordinator.table import Count, Name, Number, SceneTable, Table
 from coordinator.units import PositiveEnergyPerArea, PositiveLength, PositivePressure, Quantity, Temperature
 
@@ -148,20 +148,6 @@ def load_laminate(path: str | Path, overrides: Sequence[str] = ()) -> LaminateSc
         where = ("micromechanics", "cell")
         raise SceneError([problem_line(str(file), where, values, f"there is no such file in {scene.folder}")])
     return scene
-
-
-def read_resolved_laminate(values: dict[str, Any], name: str = "") -> LaminateScene:
-    """Read back a scene from its ``model_dump(mode="json")``: the same values, already in SI.
-
-    Raises
-    ------
-    SceneError
-        If the values are no scene.
-    """
-    scene, problems = validated(LaminateScene, _checks, values, si=True)
-    if scene is None:
-        raise SceneError([problem_line("resolved scene", where, values, allowed) for where, allowed in problems])
-    return scene.of_file(name)
 
 
 def _checks(scene: Any, tables: set[str]) -> list[Problem]:

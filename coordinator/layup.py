@@ -106,7 +106,11 @@ class _Reader:
         self.place = tail.end()
         if tail[1]:
             angles = self.repeated(angles, tail[1])
-        return angles + angles[::-1] if tail[2] else angles
+        if tail[2]:
+            angles = angles + angles[::-1]
+        if len(angles) > _MOST:
+            raise ValueError(f"layup is {self.text!r}; it has more plies than {_MOST}")
+        return angles
 
     def item(self) -> list[float]:
         self.blanks()

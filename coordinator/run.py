@@ -32,10 +32,25 @@ from protocol.messages import Acknowledged, Status
 INTERRUPTED_STATUS = 130
 #: Seconds between two looks at the progress of a long operation.
 STATUS_EVERY = 0.5
+#: What may end a run before its end; anything else is a fault of this program.
+ENDINGS = (Interrupted, ServiceDied, ConnectionProblem, ProtocolError)
 
 
 class RunError(Exception):
     """The run cannot start, or what it was asked for contradicts what is in its folder."""
+
+
+class Ending(NamedTuple):
+    """How a run ended: for programs, for people, and the exit status."""
+
+    status: SummaryStatus
+    sentence: str
+    code: int
+
+    def tell(self, console: Console) -> None:
+        """Print the sentence, unwrapped: a command in it is there to be copied."""
+        style = "bold red" if self.status == "failed" else "bold"
+        console.print(self.sentence, style=style, markup=False, highlight=False, soft_wrap=True)
 
 
 def run_scene(
@@ -186,44 +201,30 @@ class Run:
         run_id = uuid.uuid4().hex[:12]
         resumed_at = self._checkpoint[0]["step"] if self._checkpoint else None
         output = RunOutput(self.folder, self.scene, resumed_at, self._command)
-        resume_command = self._command + " --resume"
         services = Services(self.folder, run_id)
         began = time.perf_counter()
-        status: SummaryStatus = "failed"
-        sentence, code = "", 0
+        end = Ending("finished", "", 0)
         with Interruption() as interruption:
             try:
                 self._run(services, output, interruption)
-                status = "finished"
-            except Interrupted:
-                status, code = "interrupted", INTERRUPTED_STATUS
-                sentence = f"stopped; go on with: {resume_command}"
-            except (ServiceDied, ConnectionProblem, ProtocolError) as error:
-                code = 1
-                sentence = f"failed after coupling step {output.step}: {guilty(error, services)}"
-                if self._state_step >= 0:
-                    sentence += f"\nresults up to step {output.step} are in {self.folder}"
-                    # A solver that failed would fail again: a run goes on exactly as before.
-                    if not isinstance(error, ProtocolError):
-                        sentence += f"; go on with: {resume_command}"
+            except ENDINGS as error:
+                kept = f"results up to step {output.step} are in {self.folder}" if self._state_step >= 0 else ""
+                end = ending(error, services, f"coupling step {output.step}", kept, self._command)
             except BaseException as error:
                 sentence = f"failed after coupling step {output.step}: {str(error) or type(error).__name__}"
+                end = Ending("failed", sentence, 1)
                 raise
             finally:
                 timing = {role: client.timing for role, client in services.clients.items()}
                 services.stop()
-                output.close(status, sentence, time.perf_counter() - began, timing)
-        if sentence:
-            # No wrapping: the command in it is there to be copied.
-            self._console.print(
-                sentence, style="bold" if code == INTERRUPTED_STATUS else "bold red", markup=False,
-                highlight=False, soft_wrap=True,
-            )  # fmt: skip
-        if status != "interrupted":
+                output.close(end.status, end.sentence, time.perf_counter() - began, timing)
+        if end.sentence:
+            end.tell(self._console)
+        if end.status != "interrupted":
             report = output.write_report()
             if report is not None:
                 self._console.print(f"report: {report}", markup=False, soft_wrap=True)
-        return code
+        return end.code
 
     # --- the run itself ----------------------------------------------------------------------------------
 
@@ -380,6 +381,31 @@ class _Watch:
 
 def _computing(services: Services) -> dict[str, float]:
     return {role: client.timing.computing for role, client in services.clients.items()}
+
+
+def ending(error: Exception, services: Services, done: str, kept: str, command: str) -> Ending:
+    """Return how one of `ENDINGS` ended a run.
+
+    Parameters
+    ----------
+    error : Exception
+    services : Services
+    done : str
+        The last thing that was done, such as "coupling step 7".
+    kept : str
+        What is left to go on from, in a sentence; empty if there is nothing.
+    command : str
+        Command that repeats the run.
+    """
+    if isinstance(error, Interrupted):
+        return Ending("interrupted", f"stopped; go on with: {command} --resume", INTERRUPTED_STATUS)
+    sentence = f"failed after {done}: {guilty(error, services)}"
+    if kept:
+        sentence += f"\n{kept}"
+        # A solver that failed would fail again: a run goes on exactly as before.
+        if not isinstance(error, ProtocolError):
+            sentence += f"; go on with: {command} --resume"
+    return Ending("failed", sentence, 1)
 
 
 def guilty(error: Exception, services: Services) -> str:

@@ -12,6 +12,7 @@ from fem_service.point_material import PointAnswer, PointState
 from protocol import micromechanics as m
 from protocol.client import Client
 from protocol.errors import ConnectionProblem, ProtocolError
+from protocol.micromechanics_query import CellQueries
 
 
 class CellClient:
@@ -34,9 +35,9 @@ class CellClient:
     ----------
     registered : CellRegistered
     queried, spared : int
-        Points since the last call of `take_counts`.
-    seconds : float
-        Spent in queries, and of that not computed by the service, `wire`.
+        Points that were asked for and that were not.
+    seconds, wire : float
+        Spent in queries, and of that not computed by the service, s. Whoever reads these four may set them to zero.
 
     Raises
     ------
@@ -55,12 +56,13 @@ class CellClient:
         except ConnectionProblem as error:
             raise ProtocolError("bad_field", f"micromechanics: {error}", field="micromechanics") from None
         try:
-            self.registered = self._client.call("register", cell, m.CellRegistered)
-            request = m.CellPropertiesRequest(cell=self.registered.cell, temperature=temperature)
+            self._queries = CellQueries(self._client, cell)
+            request = m.CellPropertiesRequest(cell=self._queries.registered.cell, temperature=temperature)
             properties = self._client.call("properties", request, m.CellProperties)
         except BaseException:
             self._client.close()
             raise
+        self.registered = self._queries.registered
         self._stiffness = properties.stiffness
         self._locked = properties.stiffness @ properties.expansion * (temperature - cell.stress_free_temperature)
         self._safe = properties.safe_energy if spare else 0.0
@@ -126,15 +128,9 @@ class CellClient:
         )
         began, computed = time.perf_counter(), self._client.timing.computing
         try:
-            answer = self._client.call("evaluate", request, m.Evaluated)
+            answer = self._queries.evaluate(request)
         except ConnectionProblem as error:
             answer, computed = self._asked_anew(request, error), 0.0
-        except ProtocolError as error:
-            if error.code != "unknown_cell":
-                raise
-            # It keeps only so many cells. The definition makes it the same cell again.
-            self._client.call("register", self._cell, m.CellRegistered)
-            answer = self._client.call("evaluate", request, m.Evaluated)
         spent = time.perf_counter() - began
         self.seconds += spent
         self.wire += max(0.0, spent - (self._client.timing.computing - computed))
@@ -146,8 +142,8 @@ class CellClient:
             found = self._connect()
             self._client.close()
             self._client = found
-            self._client.call("register", self._cell, m.CellRegistered)
-            return self._client.call("evaluate", request, m.Evaluated)
+            self._queries = CellQueries(found, self._cell)
+            return self._queries.evaluate(request)
         except ConnectionProblem as error:
             raise ProtocolError(
                 "solver_failed", f"micromechanics: {problem}; then {error}", field="micromechanics"

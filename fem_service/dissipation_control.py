@@ -68,7 +68,7 @@ def advance_by_dissipation(laminate: QuasiStatic, start: Equilibrium, dissipatio
                 right += laminate.lever.push(len(displacement))
             forth = pulled + laminate.system.solve(matrix, right)
         except ValueError as error:
-            raise NotConverged(f"no equilibrium near load {load:g}: {error}") from None
+            raise NotConverged(f"no equilibrium near load {load:g}: {error}", iteration) from None
         # The force changes with the displacement, and with the load itself where there is a lever.
         by_back, by_forth = float(pulled @ (matrix @ back)), float(pulled @ (matrix @ forth))
         if laminate.lever is not None:
@@ -81,5 +81,6 @@ def advance_by_dissipation(laminate: QuasiStatic, start: Equilibrium, dissipatio
             break
     raise NotConverged(
         f"no equilibrium {dissipation:g} J beyond load {start.load:g} after {iteration} iterations; damage must have "
-        "begun, and a smaller dissipation may help"
+        "begun, and a smaller dissipation may help",
+        iteration,
     )

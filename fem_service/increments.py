@@ -42,7 +42,7 @@ class Increment:
     next_size : float
         Size to try next, in units of the load.
     iterations : int
-        Solutions, those of halved tries included.
+        Those of halved tries included.
     halved : int
         Tries that found no equilibrium.
     """
@@ -78,13 +78,14 @@ def next_increment(laminate: QuasiStatic, start: Equilibrium, size: float, end: 
         try:
             found = laminate.advance(start, end if reaches else start.load + size)
         except NotConverged as error:
-            iterations += laminate.iterations
+            iterations += error.iterations
             halved += 1
             size = 0.5 * size
             if size < steps.least:
                 raise NotConverged(
                     f"{error}; the increment is below the least, {steps.least:g}: a smaller least increment, a finer "
-                    "mesh, softening instead of sudden failure or a viscosity of cohesive layers may help"
+                    "mesh, softening instead of sudden failure or a viscosity of cohesive layers may help",
+                    iterations,
                 ) from None
             continue
         iterations += found.iterations

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from fem_service.cohesive_law import CohesiveLaw
-from fem_service.increments import Steps
 from fem_service.laminate_mesh import LaminateMesh, stack
 from fem_service.plane_mesh import PlaneMesh, open_hole, rectangle
 from fem_service.quasi_static import Grips
@@ -94,11 +93,6 @@ def law_of(request: s.StructureConfigure) -> CohesiveLaw | None:
         return CohesiveLaw(**request.cohesive.model_dump())
     except ValueError as error:
         raise ProtocolError("bad_field", f"cohesive: {error}", field="cohesive") from None
-
-
-def steps_of(request: s.StructureConfigure) -> Steps:
-    """Sizes of the increments."""
-    return Steps(request.increments.first, request.increments.least, request.increments.most)
 
 
 def cell_of(request: s.StructureConfigure) -> RegisterCell:

@@ -41,7 +41,17 @@ _TURN = 6
 
 
 class NotConverged(Exception):
-    """An increment that found no equilibrium; a smaller one may."""
+    """An increment that found no equilibrium; a smaller one may.
+
+    Attributes
+    ----------
+    iterations : int
+        That it made.
+    """
+
+    def __init__(self, sentence: str, iterations: int) -> None:
+        super().__init__(sentence)
+        self.iterations = iterations
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +88,7 @@ class Equilibrium:
     force : float
         Work of the grips per load, N: the reaction where all of them move by one metre at a load of 1.
     iterations : int
-        Solutions that it took.
+        That it took; the last one finds the balance, so solutions are one fewer.
     residual : float
         Largest force out of balance at a free node, over the largest at any; where grips and levers feel next to
         nothing, over 1e-4 of the largest force of an element.
@@ -152,7 +162,7 @@ class QuasiStatic:
     Raises
     ------
     ValueError
-        If the mesh has cohesive layers and there is no law.
+        If the mesh has cohesive layers and there is no law, or a number is out of range.
     """
 
     def __init__(
@@ -170,6 +180,8 @@ class QuasiStatic:
     ) -> None:
         if not viscosity >= 0.0:
             raise ValueError(f"viscosity is {viscosity}; it must be at least 0")
+        if iterations < 1:
+            raise ValueError(f"iterations is {iterations}; it must be at least 1")
         if len(mesh.layers) and law is None:
             raise ValueError("law is missing; the mesh has cohesive layers")
         self.mesh = mesh
@@ -188,7 +200,9 @@ class QuasiStatic:
             groups.append(lever.elements())
         self._pattern = SparsePattern(groups, len(mesh.nodes))
         self.system = HeldSystem(self._pattern.size, grips.freedoms)
-        self._turns = np.array([strain_to_ply(angle) for angle in mesh.angles])
+        angles, which = np.unique(mesh.angles, return_inverse=True)
+        self._turns = np.array([strain_to_ply(angle) for angle in angles])
+        self._angle = which.reshape(-1)[mesh.ply]  # of each brick, its row of the turns
         self.element_length = self._lengths()
         self.watch: Callable[[int], None] = lambda iteration: None
         self.seconds: dict[str, float] = {}
@@ -257,14 +271,15 @@ class QuasiStatic:
                 except ValueError as error:
                     if iteration == 1 and start.load == 0.0:
                         raise  # not held well enough, whatever the increment
-                    raise NotConverged(f"no equilibrium at load {load:g}: {error}") from None
+                    raise NotConverged(f"no equilibrium at load {load:g}: {error}", iteration) from None
             slope = -float(step @ right)
             displacement = displacement + step
             if not np.isfinite(displacement).all():
                 break
         raise NotConverged(
-            f"no equilibrium at load {load:g} after {self.iterations} iterations; out of balance is {out:.3g} of the "
-            "largest force"
+            f"no equilibrium at load {load:g} after {iteration} iterations; out of balance is {out:.3g} of the "
+            "largest force",
+            iteration,
         )
 
     def _relaxation(self, increment: float) -> float:
@@ -310,7 +325,7 @@ class QuasiStatic:
         """Forces of all elements at displacements, shape (3 nodes,), with points that have failed so far."""
         nodal = displacement.reshape(-1, 3)
         strain = self.bricks.strains(nodal)
-        turns = self._turns[self.mesh.ply]
+        turns = self._turns[self._angle]
         local = np.einsum("eij,epj->epi", turns, strain).reshape(-1, 6)
         answer = self.material.respond(np.ascontiguousarray(local), points, self.element_length)
         stress = np.einsum("eji,epj->epi", turns, answer.stress.reshape(strain.shape))
@@ -340,11 +355,8 @@ class QuasiStatic:
 
     def _turned(self, answer: PointAnswer) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Tangents in the axes of the laminate: a table for each angle, one after the other."""
-        count = len(answer.tangents)
-        angles, which = np.unique(self.mesh.angles, return_inverse=True)
-        turns = np.array([strain_to_ply(angle) for angle in angles])
-        table = np.einsum("aji,tjk,akl->atil", turns, answer.tangents, turns).reshape(-1, 6, 6)
-        index = answer.index.reshape(-1, POINTS) + count * which[self.mesh.ply][:, None]
+        table = np.einsum("aji,tjk,akl->atil", self._turns, answer.tangents, self._turns).reshape(-1, 6, 6)
+        index = answer.index.reshape(-1, POINTS) + len(answer.tangents) * self._angle[:, None]
         return np.ascontiguousarray(table), np.ascontiguousarray(index)
 
     def work_per_load(self, displacement: NDArray[np.float64], response: Response, load: float) -> float:

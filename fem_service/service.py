@@ -15,7 +15,7 @@ from fem_service.cell_client import CellClient
 from fem_service.hexahedron import POINTS
 from fem_service.increments import Steps, next_increment
 from fem_service.point_material import PointState
-from fem_service.problem import cell_of, grips_of, law_of, mesh_of, shares, steps_of
+from fem_service.problem import cell_of, grips_of, law_of, mesh_of, shares
 from fem_service.quasi_static import Equilibrium, NotConverged, QuasiStatic
 from protocol import structure as s
 from protocol.client import Client
@@ -44,6 +44,49 @@ class _Problem:
     plies: int
     equilibrium: Equilibrium
     size: float
+
+    def force(self) -> float:
+        """Force on the whole laminate, N: the work of the grips over the elongation that makes it."""
+        elongation = 2.0 * float(np.abs(self.laminate.grips.per_load).max())
+        return self.equilibrium.force * self.force_share / elongation
+
+    def failures(self, failed: NDArray[np.uint8]) -> NDArray[np.int64]:
+        """Subcells by brick and material, shape (bricks, materials), of the bits that are set at all points."""
+        bits = np.unpackbits(failed, axis=1, bitorder="little")[:, : len(self.phase)]
+        of_brick = bits.reshape(len(self.laminate.mesh.bricks), -1, len(self.phase)).sum(axis=1)
+        counts = [of_brick[:, self.phase == material].sum(axis=1) for material in range(self.materials)]
+        return np.stack(counts, axis=1).astype(np.int64)
+
+    def new_failures(self, before: Equilibrium) -> NDArray[np.int64]:
+        """Subcells that have failed since, shape (plies, materials)."""
+        new = self.failures(self.equilibrium.points.failed & ~before.points.failed)
+        found = np.zeros((self.plies, self.materials), dtype=np.int64)
+        np.add.at(found, self.laminate.mesh.ply, new)
+        return found
+
+    def layer_damage(self) -> NDArray[np.float64]:
+        """Share of the area of each interface that has no traction left; none where no plies are parted by layers."""
+        layers, interface = self.laminate.layers, self.laminate.mesh.interface
+        if layers is None:
+            return np.zeros(0)
+        gone = (self.equilibrium.layers[:, :, 0] >= 1.0) * layers.areas
+        count = self.plies - 1
+        whole = np.bincount(interface, layers.areas.sum(axis=1), count)
+        # An interface between plies of one angle has no layer.
+        return np.bincount(interface, gone.sum(axis=1), count) / np.where(whole > 0.0, whole, 1.0)
+
+    def field(self, name: str) -> NDArray[np.float64]:
+        """One of `FIELDS`."""
+        now = self.equilibrium
+        if name == "displacement":
+            return now.displacement
+        if name == "stress":
+            return np.ascontiguousarray(now.stress.mean(axis=1))
+        if name == "layer_damage":
+            return np.ascontiguousarray(now.layers[:, :, 0].mean(axis=1))
+        subcells = np.bincount(self.phase, minlength=self.materials)
+        # A material may be defined and have no subcell.
+        return self.failures(now.points.failed) / (POINTS * np.maximum(subcells, 1))
 
 
 class LaminateService(Service):
@@ -85,7 +128,8 @@ class LaminateService(Service):
             cell.close()
             raise ProtocolError("bad_field", f"mesh: {error}", field="mesh") from None
         force_share, section = shares(request)
-        steps = steps_of(request)
+        sizes = request.increments
+        steps = Steps(sizes.first, sizes.least, sizes.most)
         # A refused request leaves the laminate that there was.
         self.close()
         self._step = 0
@@ -138,15 +182,15 @@ class LaminateService(Service):
             step=self._step,
             load=after.load,
             strain=after.load * problem.final_strain,
-            force=self._force(problem, after),
+            force=problem.force(),
             iterations=made.iterations,
             halved=made.halved,
             residual=after.residual,
             factorisations=laminate.factorisations,
             queried=cell.queried,
             spared=cell.spared,
-            new_failures=self._new_failures(problem, before.points.failed, after.points.failed),
-            layer_damage=self._layer_damage(problem),
+            new_failures=problem.new_failures(before),
+            layer_damage=problem.layer_damage(),
             seconds=spent,
         )
 
@@ -164,7 +208,7 @@ class LaminateService(Service):
                 raise ProtocolError(
                     "bad_field", f"{place}: no field {name!r}; there are {', '.join(FIELDS)}", field=place
                 )
-            found[name] = self._field(problem, name)
+            found[name] = problem.field(name)
         return FieldsReply(step=self._step, fields=found)
 
     def checkpoint(self, request: Empty) -> CheckpointReply:
@@ -172,28 +216,12 @@ class LaminateService(Service):
         problem = self._configured()
         now = problem.equilibrium
         numbers = np.array([now.load, now.force, now.residual, problem.size, float(self._step)])
-        state: dict[str, NDArray[Any]] = {
-            "displacement": now.displacement,
-            "stress": now.stress,
-            "failed": now.points.failed,
-            "history": now.points.history,
-            "layers": now.layers,
-            "numbers": numbers,
-        }
-        return CheckpointReply(step=self._step, state=state)
+        return CheckpointReply(step=self._step, state={**_arrays(now), "numbers": numbers})
 
     def restore(self, request: RestoreRequest) -> Restored:
         """Set the state."""
         problem = self._configured()
-        rest = problem.laminate.rest()
-        wanted: dict[str, NDArray[Any]] = {
-            "displacement": rest.displacement,
-            "stress": rest.stress,
-            "failed": rest.points.failed,
-            "history": rest.points.history,
-            "layers": rest.layers,
-            "numbers": np.zeros(5),
-        }
+        wanted = {**_arrays(problem.laminate.rest()), "numbers": np.zeros(5)}
         for name, like in wanted.items():
             given = request.state.get(name)
             if given is None or given.shape != like.shape or given.dtype != like.dtype:
@@ -248,45 +276,16 @@ class LaminateService(Service):
             raise ProtocolError("wrong_state", "there is no laminate")
         return self._problem
 
-    def _force(self, problem: _Problem, at: Equilibrium) -> float:
-        """Force on the whole laminate: the work of the grips over the elongation that makes it."""
-        elongation = 2.0 * float(np.abs(problem.laminate.grips.per_load).max())
-        return at.force * problem.force_share / elongation
 
-    def _new_failures(
-        self, problem: _Problem, before: NDArray[np.uint8], after: NDArray[np.uint8]
-    ) -> NDArray[np.int64]:
-        new = np.unpackbits(after & ~before, axis=1, bitorder="little")[:, : len(problem.phase)]
-        by_point = np.zeros((len(new), problem.materials), dtype=np.int64)
-        for material in range(problem.materials):
-            by_point[:, material] = new[:, problem.phase == material].sum(axis=1)
-        found = np.zeros((problem.plies, problem.materials), dtype=np.int64)
-        np.add.at(found, np.repeat(problem.laminate.mesh.ply, POINTS), by_point)
-        return found
-
-    def _layer_damage(self, problem: _Problem) -> NDArray[np.float64]:
-        laminate = problem.laminate
-        if laminate.layers is None:
-            return np.zeros(0)
-        areas, interface = laminate.layers.areas, laminate.mesh.interface
-        gone = (problem.equilibrium.layers[:, :, 0] >= 1.0) * areas
-        count = problem.plies - 1
-        whole = np.bincount(interface, areas.sum(axis=1), count)
-        # An interface between plies of one angle has no layer.
-        return np.bincount(interface, gone.sum(axis=1), count) / np.where(whole > 0.0, whole, 1.0)
-
-    def _field(self, problem: _Problem, name: str) -> NDArray[np.float64]:
-        now, count = problem.equilibrium, len(problem.laminate.mesh.bricks)
-        if name == "displacement":
-            return now.displacement
-        if name == "stress":
-            return np.ascontiguousarray(now.stress.mean(axis=1))
-        if name == "layer_damage":
-            return np.ascontiguousarray(now.layers[:, :, 0].mean(axis=1))
-        bits = np.unpackbits(now.points.failed, axis=1, bitorder="little")[:, : len(problem.phase)]
-        of_brick = bits.reshape(count, POINTS, -1).mean(axis=1)
-        found = [of_brick[:, problem.phase == material].mean(axis=1) for material in range(problem.materials)]
-        return np.ascontiguousarray(np.stack(found, axis=1))
+def _arrays(of: Equilibrium) -> dict[str, NDArray[Any]]:
+    """The arrays of a checkpoint."""
+    return {
+        "displacement": of.displacement,
+        "stress": of.stress,
+        "failed": of.points.failed,
+        "history": of.points.history,
+        "layers": of.layers,
+    }
 
 
 def make_service(folder: Path) -> LaminateService:

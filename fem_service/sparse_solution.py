@@ -37,9 +37,8 @@ class HeldSystem:
         self.held = held
         self.free = np.setdiff1d(np.arange(size), held)
         self.factorisations = 0
-        self._entries: NDArray[np.int64] | None = None
-        self._reduced: scipy.sparse.csc_matrix | None = None
-        self._factor: scipy.sparse.linalg.SuperLU | None = None
+        self._pattern: tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int32]] | None = None
+        self._factored: tuple[NDArray[np.float64], scipy.sparse.linalg.SuperLU] | None = None
 
     def solve(self, matrix: scipy.sparse.csc_matrix, right: NDArray[np.float64]) -> NDArray[np.float64]:
         """Solution over the free degrees of freedom, with zero at the held ones.
@@ -59,35 +58,35 @@ class HeldSystem:
         ValueError
             If the matrix is singular: something can move without force.
         """
-        data = self._free_entries(matrix)
-        if self._factor is None or self._reduced is None or not np.array_equal(data, self._reduced.data):
-            self._factorise(data)
-        assert self._factor is not None
         whole = np.zeros(matrix.shape[0])
-        whole[self.free] = self._factor.solve(right[self.free])
+        if not len(self.free):
+            return whole
+        reduced = self._over_free(matrix)
+        if self._factored is None or not np.array_equal(reduced.data, self._factored[0]):
+            self._factored = None  # whatever comes of the next one
+            self._factored = reduced.data, self._factors(reduced)
+        whole[self.free] = self._factored[1].solve(right[self.free])
         return whole
 
-    def _free_entries(self, matrix: scipy.sparse.csc_matrix) -> NDArray[np.float64]:
-        if self._entries is None:
+    def _over_free(self, matrix: scipy.sparse.csc_matrix) -> scipy.sparse.csc_matrix:
+        """Rows and columns of the free degrees of freedom; where their entries are is found once."""
+        if self._pattern is None:
             numbered = scipy.sparse.csc_matrix(
                 (np.arange(1, matrix.nnz + 1), matrix.indices, matrix.indptr), shape=matrix.shape
             )
             reduced = numbered[self.free][:, self.free].tocsc()
             reduced.sort_indices()
-            self._entries = reduced.data - 1
-            self._reduced = reduced.astype(np.float64)
-            self._reduced.data[:] = np.nan  # not equal to anything yet
-        return np.asarray(matrix.data[self._entries], dtype=np.float64)
+            self._pattern = reduced.data - 1, reduced.indices, reduced.indptr
+        entries, rows, ends = self._pattern
+        return scipy.sparse.csc_matrix((matrix.data[entries], rows, ends), shape=(len(self.free), len(self.free)))
 
-    def _factorise(self, data: NDArray[np.float64]) -> None:
-        assert self._reduced is not None
-        self._reduced.data = data
+    def _factors(self, reduced: scipy.sparse.csc_matrix) -> scipy.sparse.linalg.SuperLU:
         try:
             # Stiffnesses are symmetric and nearly always positive definite: the diagonal is pivot enough.
-            self._factor = scipy.sparse.linalg.splu(
-                self._reduced, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=1e-3, options={"SymmetricMode": True}
+            factors = scipy.sparse.linalg.splu(
+                reduced, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=1e-3, options={"SymmetricMode": True}
             )
         except RuntimeError as error:
-            self._factor = None
             raise ValueError(f"the stiffness is singular, so something can move without force ({error})") from None
         self.factorisations += 1
+        return factors

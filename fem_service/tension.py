@@ -26,7 +26,7 @@ def tension_grips(mesh: LaminateMesh, *, quarter: bool = False, lower_half: bool
     Returns
     -------
     Grips
-        Ends are free to contract; what could still move as a whole is held at single nodes.
+        Ends are free to contract; what could still move as a whole is held at single nodes, which feel no force.
     """
     nodes = mesh.nodes
     low, high = nodes.min(axis=0), nodes.max(axis=0)
@@ -42,23 +42,18 @@ def tension_grips(mesh: LaminateMesh, *, quarter: bool = False, lower_half: bool
 
     hold(on(0, high[0]), 0, 0.5)
     hold(on(0, low[0]), 0, 0.0 if quarter else -0.5)
+    # Two corners of one end. The straight ends keep the laminate from turning about y and z.
+    edge = np.intersect1d(on(0, low[0]), on(2, low[2]))
+    first, last = (edge[[place(nodes[edge, 1])]] for place in (np.argmin, np.argmax))
     if quarter:
         hold(on(1, low[1]), 1, 0.0)
     else:
-        # Two corners of one end at the same height: no sliding along y, no turn about z.
-        end = on(0, low[0])
-        corner = end[np.lexsort((nodes[end, 2], nodes[end, 1]))[:1]]
-        hold(corner, 1, 0.0)
+        hold(first, 1, 0.0)
     if lower_half:
         hold(on(2, high[2]), 2, 0.0)
     else:
-        ends = on(0, low[0])
-        first = ends[np.lexsort((nodes[ends, 1], nodes[ends, 2]))[:1]]
-        last = ends[np.lexsort((-nodes[ends, 1], nodes[ends, 2]))[:1]]
-        other = on(0, high[0])
-        opposite = other[np.lexsort((nodes[other, 1], nodes[other, 2]))[:1]]
-        # The planes of symmetry of a quarter keep it from turning already.
-        for corner in (first,) if quarter else (first, last, opposite):
-            hold(corner, 2, 0.0)
+        hold(first, 2, 0.0)
+        if not quarter:  # whose planes of symmetry keep it from turning about x already
+            hold(last, 2, 0.0)
     freedoms = np.array(sorted(held), dtype=np.int64)
     return Grips(freedoms, np.array([held[int(freedom)] for freedom in freedoms]))

@@ -113,6 +113,10 @@ class Cell:
         table = np.array([material.expansion_at(temperature) for material in self.materials])
         return np.ascontiguousarray(table[self.phase.reshape(-1)])
 
+    def thermal_strain_at(self, temperature: float) -> NDArray[np.float64]:
+        """Free thermal strain of every subcell at a temperature in K; shape (subcells, 6)."""
+        return self.expansion_at(temperature) * (temperature - self.stress_free_temperature)
+
     def identity(self) -> str:
         """Hexadecimal SHA-256 of all that an answer depends on: equal cells have equal ids, whoever defines them."""
         digest = hashlib.sha256()

@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from gmc_service.command_options import CELL_FILE, NEW_FILE, Temperature, told_mistakes
+from gmc_service.component_order import COMPONENTS
 from gmc_service.methods import METHODS
-from protocol.quantities import to_si
 
 if TYPE_CHECKING:
     from gmc_service.effective_properties import EffectiveProperties
 
-CELL_FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
-NEW_FILE = click.Path(path_type=Path, dir_okay=False)
 #: Commands in modules of their own, imported when they are asked for.
 _ELSEWHERE = {"fail": "gmc_service.fail_command", "fields": "gmc_service.fields_command"}
 
@@ -39,18 +38,6 @@ class _Group(click.Group):
         return super().get_command(context, name)
 
 
-def _temperature(context: click.Context, option: click.Parameter, text: str | None) -> float | None:
-    if text is None:
-        return None
-    try:
-        value = to_si(text, "temperature")
-    except ValueError as error:
-        raise click.BadParameter(f"{text!r}: {error}") from None
-    if value < 0.0:
-        raise click.BadParameter(f"{text!r}: must be 0 K or greater")
-    return value
-
-
 @click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 def micro() -> None:
     """Repeating unit cells: their effective constants, failure, pictures and constituents."""
@@ -58,9 +45,7 @@ def micro() -> None:
 
 @micro.command()
 @click.argument("cell", type=CELL_FILE)
-@click.option(
-    "--temperature", callback=_temperature, metavar="QUANTITY", help='Such as "80 degC". Default: stress-free.'
-)
+@click.option("--temperature", type=Temperature(), metavar="QUANTITY", help='Such as "80 degC". Default: stress-free.')
 @click.option("--method", type=click.Choice(tuple(METHODS)), default="gmc", show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, in SI.")
 @click.option("--card", type=NEW_FILE, metavar="FILE", help="Write a material card for Abaqus and CalculiX.")
@@ -78,18 +63,18 @@ def properties(
     from gmc_service.cell_file import read_cell
     from gmc_service.effective_properties import effective_properties
 
-    with _mistakes():
+    with told_mistakes():
         read = read_cell(cell)
         found = effective_properties(read, method, temperature)
-    if card is not None:
-        from gmc_service.material_card import material_card
+        if card is not None:
+            from gmc_service.material_card import material_card
 
-        text = material_card(
-            read.name, found.stiffness, found.expansion, found.density, read.stress_free_temperature, card_units,
-            comments=[f"Effective constants of {cell.name}: {read.title or read.name}",
-                      f"Method {method}, {found.temperature:g} K"],
-        )  # fmt: skip
-        card.write_text(text, encoding="utf-8")
+            text = material_card(
+                read.name, found.stiffness, found.expansion, found.density, read.stress_free_temperature, card_units,
+                comments=[f"Effective constants of {cell.name}: {read.title or read.name}",
+                          f"Method {method}, {found.temperature:g} K"],
+            )  # fmt: skip
+            card.write_text(text, encoding="utf-8")
     click.echo(json.dumps(_plain(found), indent=2) if as_json else _table(found, read.title or read.name))
     if card is not None and not as_json:
         click.echo(f"card: {card}")
@@ -103,7 +88,7 @@ def show(cell: Path, out: Path | None) -> None:
     from gmc_service.cell_file import read_cell
     from gmc_service.picture import draw_cell
 
-    with _mistakes():
+    with told_mistakes():
         read = read_cell(cell)
         path = out or Path(f"{read.name}.png")
         draw_cell(read, path, read.title or read.name)
@@ -118,7 +103,7 @@ def constituents(name: str | None) -> None:
     """List the shipped constituents, or show one with its source."""
     from gmc_service.constituents import constituent_entry, constituent_names
 
-    with _mistakes():
+    with told_mistakes():
         if name is None:
             entries = {one: constituent_entry(one) for one in constituent_names()}
             width = max(len(one) for one in entries)
@@ -170,7 +155,7 @@ def _plain(found: EffectiveProperties) -> dict[str, Any]:
         "coupling": found.coupling,
         "stiffness": found.stiffness.tolist(),
         "expansion": None if found.expansion is None else found.expansion.tolist(),
-        "order": ["11", "22", "33", "23", "13", "12"],
+        "order": COMPONENTS,
     }
 
 
@@ -201,14 +186,3 @@ def _table(found: EffectiveProperties, title: str) -> str:
             f"  stretch and shear are tied (largest correlation {found.coupling:.3g}); --json has the stiffness"
         )
     return "\n".join(lines)
-
-
-class _mistakes:
-    """Turns mistakes of the user's files into messages of the command line."""
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, ValueError | OSError):
-            raise click.ClickException(str(error)) from None

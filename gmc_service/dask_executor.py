@@ -11,15 +11,20 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
+
+from pydantic import ValidationError
 
 from gmc_service.front import Executor, Job
 from gmc_service.kept_cells import KeptCells
 from protocol.backend import BackendError, find
-from protocol.errors import ErrorReport, ProtocolError
+from protocol.dispatcher import bad_field
+from protocol.errors import ErrorReport, ProtocolError, traceback_tail
 from protocol.messages import Message
 from protocol.micromechanics import RegisterCell
+from protocol.micromechanics_query import ask_or_register
 from protocol.security import is_local
 from protocol.service import Capabilities, Service
 
@@ -122,7 +127,7 @@ class DaskExecutor(Executor):
                 hint="the query may need more memory than there is; send fewer points at once", step=0,
             )  # fmt: skip
             return True
-        job.answer = _raised(found) if isinstance(found, ErrorReport) else found
+        job.answer = ProtocolError(**found.model_dump()) if isinstance(found, ErrorReport) else found
         return True
 
     def close(self) -> None:
@@ -163,18 +168,22 @@ def answer_job(
     backend: str, operation: str, request: Message, definition: RegisterCell | None
 ) -> Message | ErrorReport:
     """Answer one job in the process of a worker; an error comes back as its report."""
-    service = _service(backend)
-    perform: Callable[[Message], Message] = getattr(service, operation)
     try:
-        try:
-            return perform(request)
-        except ProtocolError as error:
-            if error.code != "unknown_cell" or definition is None:
-                raise
-        service.register(definition)  # type: ignore[attr-defined]
-        return perform(request)
+        service = _service(backend)
+        ask: Callable[[], Message] = partial(getattr(service, operation), request)
+        if definition is None:
+            return ask()
+        return ask_or_register(ask, partial(service.register, definition))  # type: ignore[attr-defined]
     except ProtocolError as error:
         return error.report
+    except ValidationError as error:  # of a reply with a NaN, as `protocol.dispatcher` has it
+        problem = bad_field(error, f"reply to {operation}").report
+        return ProtocolError("solver_failed", problem.sentence, field=problem.field, step=0).report
+    except Exception as error:  # a defect: left to Dask it would pass for a lost worker, and be asked again
+        log.exception("a defect of backend %s", backend)
+        return ProtocolError(
+            "internal", f"{type(error).__name__}: {error}", traceback_tail=traceback_tail(error)
+        ).report
 
 
 def _service(backend: str) -> Service:
@@ -190,9 +199,3 @@ def _capabilities(backend: str) -> Capabilities:
 
 def _same(definition: RegisterCell) -> RegisterCell:
     return definition
-
-
-def _raised(report: ErrorReport) -> ProtocolError:
-    return ProtocolError(
-        report.code, report.sentence, hint=report.hint, field=report.field, step=report.step, origin=report.origin
-    )

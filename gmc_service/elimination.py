@@ -8,16 +8,13 @@ import numpy as np
 from gmc_service.failure import FAILS_AT, HASHIN, TSAI_HILL, failure_index, maximum_index
 from gmc_service.mask_table import find_mask
 
-#: What `query` answers for a point that it refuses: a strain that is not finite, a mask with a bit beyond the subcells.
-NOT_FINITE = -1
-NOT_A_SUBCELL = -2
 #: Entry of a point at which something would fail, where there is to be no cascade.
 WOULD_FAIL = -1
 
 
 @nb.njit(nogil=True, cache=True, error_model="numpy")
 def query(  # type: ignore[no-untyped-def]
-    strain, todo, table, checks, spare, number, cascade, first, failed, stress, entry
+    strain, todo, table, checks, number, cascade, first, failed, stress, entry
 ):
     """Take points through their cascade of failures as far as the table goes.
 
@@ -34,8 +31,6 @@ def query(  # type: ignore[no-untyped-def]
         Of `mask_table.Snapshot`: slots, masks, stiffness, locked, loads, offsets, alive, used.
     checks : tuple of ndarray
         Subcell, criterion, rates of `failure.Checks`.
-    spare : int
-        Bits of the last byte of a mask that are no subcell.
     number : int
         Of this query, for `used`.
     cascade : bool
@@ -52,15 +47,12 @@ def query(  # type: ignore[no-untyped-def]
     Returns
     -------
     waiting : int
-    refused : int
-        Point, or -1.
-    reason : int
-        `NOT_FINITE` or `NOT_A_SUBCELL`, 0 if no point is refused.
+    not_finite : int
+        Point of which the strain is not finite, at which the loop ended; -1 if there is none.
     """
     slots, masks, stiffness, locked, loads, offsets, alive, used = table
     subcell, criterion, rates = checks
     compact = loads.shape[2] == 12
-    last = failed.shape[1] - 1
     waiting = 0
     marks = np.uint8(cascade)
     now = np.int64(-1)
@@ -69,9 +61,7 @@ def query(  # type: ignore[no-untyped-def]
         e1, e2, e3 = strain[point, 0], strain[point, 1], strain[point, 2]
         e4, e5, e6 = strain[point, 3], strain[point, 4], strain[point, 5]
         if not np.isfinite(e1 + e2 + e3 + e4 + e5 + e6):
-            return waiting, point, NOT_FINITE
-        if failed[point, last] & spare:
-            return waiting, point, NOT_A_SUBCELL
+            return waiting, point
         now = _entry(failed, point, now, slots, masks)
         any_fails = np.uint8(0)
         while now >= 0:
@@ -134,7 +124,7 @@ def query(  # type: ignore[no-untyped-def]
                 for j in range(6):
                     total += stiffness[now, k, j] * strain[point, j]
                 stress[point, k] = total
-    return waiting, -1, 0
+    return waiting, -1
 
 
 @nb.njit(nogil=True, cache=True)

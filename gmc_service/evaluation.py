@@ -13,13 +13,13 @@ from __future__ import annotations
 from collections import OrderedDict
 from dataclasses import dataclass
 from threading import Lock
-from typing import Final, NoReturn
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gmc_service.cell import Cell
-from gmc_service.elimination import NOT_A_SUBCELL, NOT_FINITE, WOULD_FAIL, number_by_first_use, query
+from gmc_service.elimination import WOULD_FAIL, number_by_first_use, query
 from gmc_service.failed_cell import FailedCell
 from gmc_service.failure import checks_of
 from gmc_service.gmc_reduced import is_orthotropic
@@ -29,6 +29,7 @@ from gmc_service.methods import find_method
 from gmc_service.plastic_cell import PlasticCell
 from gmc_service.plasticity import VALUES as PLASTIC_VALUES
 from gmc_service.softening_cell import SofteningCell
+from protocol.tangent_table import join_tables
 
 #: Bytes of all tables of a cell; with more, the temperatures that have not been asked for longest are dropped.
 CACHE_BYTES: Final = 2 * TABLE_BYTES
@@ -136,8 +137,8 @@ class Evaluator:
         Raises
         ------
         ValueError
-            If a shape does not fit, a strain is not finite, a mask has a bit beyond the subcells, or a temperature
-            lies outside a material's table.
+            If a shape does not fit, a strain is not finite, see `check_state`, or a temperature lies outside a
+            material's table.
         """
         strain, failed, history = self._checked(strain, failed, history)
         temperature = _checked_temperature(temperature)
@@ -161,12 +162,11 @@ class Evaluator:
         generations = [(0, table.snapshot)]
         while len(todo):
             first, held = generations[-1]
-            waiting, refused, reason = query(
+            waiting, not_finite = query(
                 strain,
                 todo,
                 held.arrays,
                 self._checks.arrays,
-                self._spare,
                 number,
                 cascade,
                 first,
@@ -174,8 +174,8 @@ class Evaluator:
                 stress,
                 entry,
             )
-            if reason:
-                self._refuse(strain, failed, int(refused), int(reason))
+            if not_finite >= 0:
+                raise _not_finite(strain, int(not_finite))
             todo = todo[:waiting]
             if waiting:
                 table.extend(distinct_masks(failed, todo, table.batch))
@@ -248,12 +248,9 @@ class Evaluator:
             As `evaluate`.
         """
         strain, failed, history = self._checked(strain, failed, history)
-        for reason, wrong in (
-            (NOT_FINITE, ~np.isfinite(strain).all(axis=1)),
-            (NOT_A_SUBCELL, (failed[:, -1] & self._spare) != 0),
-        ):
-            if wrong.any():
-                self._refuse(strain, failed, int(np.argmax(wrong)), reason)
+        finite = np.isfinite(strain).all(axis=1)
+        if not finite.all():
+            raise _not_finite(strain, int(np.argmin(finite)))
         temperature = _checked_temperature(temperature)
         if self._plastic is not None:
             flags = unpack_mask(failed, self.cell.subcells)
@@ -275,7 +272,14 @@ class Evaluator:
         return stress, local
 
     def homogenised(self, temperature: float, failed: NDArray[np.uint8]) -> Homogenised:
-        """Constants and concentrations of the cell with the failed subcells of one mask, shape (failed_bytes,)."""
+        """Constants and concentrations of the cell with the failed subcells of one mask, shape (failed_bytes,).
+
+        Raises
+        ------
+        ValueError
+            If the mask is none of this cell's, see `check_state`, or a temperature lies outside a material's table.
+        """
+        self.check_state(1, failed[None], np.zeros((1, self.history_values)))
         states = FailedCell(self.cell, self.method, _checked_temperature(temperature))
         return states.homogenise(unpack_mask(failed, self.cell.subcells))
 
@@ -295,26 +299,38 @@ class Evaluator:
         strain = np.ascontiguousarray(strain, dtype=np.float64)
         if strain.ndim != 2 or strain.shape[1] != 6:
             raise ValueError(f"strain has shape {strain.shape}; it must have (points, 6)")
+        self.check_state(len(strain), failed, history)
+        return strain, np.ascontiguousarray(failed), np.ascontiguousarray(history, dtype=np.float64)
+
+    def check_state(self, points: int, failed: NDArray[np.uint8], history: NDArray[np.float64]) -> None:
+        """Refuse masks and history that cannot be those of so many points of this cell.
+
+        Parameters
+        ----------
+        points : int
+        failed : ndarray of uint8, shape (points, failed_bytes)
+        history : ndarray of float, shape (points, history_values)
+
+        Raises
+        ------
+        ValueError
+            If a shape or type does not fit, a mask has a bit beyond the subcells, or the history is not finite.
+        """
         if failed.dtype != np.uint8:
             raise ValueError(f"failed has type {failed.dtype}; it must be uint8")
-        for name, values, width in (
-            ("failed", failed, self.failed_bytes),
-            ("history", history, self.history_values),
-        ):
-            if values.shape != (len(strain), width):
-                raise ValueError(f"{name} has shape {values.shape}; it must have {(len(strain), width)}")
-        history = np.ascontiguousarray(history, dtype=np.float64)
-        if not np.isfinite(history).all():
-            point = int(np.argmin(np.isfinite(history).all(axis=1)))
+        for name, values, width in (("failed", failed, self.failed_bytes), ("history", history, self.history_values)):
+            if values.shape != (points, width):
+                raise ValueError(f"{name} has shape {values.shape}; it must have {(points, width)}")
+        beyond = failed[:, -1] & self._spare
+        if beyond.any():
+            point = int(np.argmax(beyond > 0))
+            raise ValueError(
+                f"failed[{point}] is {failed[point].tolist()}; bits beyond the {self.cell.subcells} subcells must be 0"
+            )
+        finite = np.isfinite(history)
+        if not finite.all():
+            point = int(np.argmin(finite.all(axis=1)))
             raise ValueError(f"history[{point}] holds a value that is not finite; it must be one that a query returned")
-        return strain, np.ascontiguousarray(failed), history
-
-    def _refuse(self, strain: NDArray[np.float64], failed: NDArray[np.uint8], point: int, reason: int) -> NoReturn:
-        if reason == NOT_FINITE:
-            raise ValueError(f"strain[{point}] is {strain[point].tolist()}; every component must be finite")
-        raise ValueError(
-            f"failed[{point}] is {failed[point].tolist()}; bits beyond the {self.cell.subcells} subcells must be 0"
-        )
 
 
 def _checked_temperature(temperature: float) -> float:
@@ -326,14 +342,11 @@ def _checked_temperature(temperature: float) -> float:
 def _numbered(entry: NDArray[np.int64], tangents: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Index of each point in the distinct tangents, and these, in the order in which the points first use them.
 
-    Tangents are the same where their bits are: two masks can share one, and a query that has more masks than a table
-    holds may have one twice.
+    Two masks can share a tangent, and a query that has more masks than a table holds may have one twice.
     """
     order = number_by_first_use(entry, len(tangents))
-    row_of: dict[bytes, int] = {}
-    rows = np.array([row_of.setdefault(tangents[place].tobytes(), len(row_of)) for place in order], dtype=np.int64)
-    if len(row_of) == len(order):
-        return entry, tangents[order]
-    distinct = np.empty((len(row_of), 6, 6))
-    distinct[rows[::-1]] = tangents[order[::-1]]
-    return rows[entry], distinct
+    return join_tables([(entry, tangents[order])])
+
+
+def _not_finite(strain: NDArray[np.float64], point: int) -> ValueError:
+    return ValueError(f"strain[{point}] is {strain[point].tolist()}; every component must be finite")

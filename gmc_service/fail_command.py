@@ -8,18 +8,19 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from gmc_service.command_options import CELL_FILE, NEW_FILE, NEW_FOLDER, Temperature, told_mistakes
+from gmc_service.component_order import COMPONENTS
 from gmc_service.methods import METHODS
-from protocol.quantities import to_si
 
 if TYPE_CHECKING:
     from gmc_service.cell import Cell
     from gmc_service.failure_path import FailurePath
 
-_PATHS = ("eps11", "eps22", "eps33", "eps23", "eps13", "eps12")
+_PATHS = tuple(f"eps{component}" for component in COMPONENTS)
 
 
 @click.command()
-@click.argument("cell", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.argument("cell", type=CELL_FILE)
 @click.option("--path", "component", type=click.Choice(_PATHS), required=True, help="Strain that grows.")
 @click.option("--to", "end", type=float, default=0.05, show_default=True, help="Strain at the end; < 0 compresses.")
 @click.option(
@@ -29,18 +30,17 @@ _PATHS = ("eps11", "eps22", "eps33", "eps23", "eps13", "eps12")
     show_default=True,
     help="The other strains are held at zero; or the other stresses are zero.",
 )
-@click.option("--temperature", metavar="QUANTITY", help='Such as "80 degC". Default: stress-free.')
+@click.option("--temperature", type=Temperature(), metavar="QUANTITY", help='Such as "80 degC". Default: stress-free.')
 @click.option("--method", type=click.Choice(tuple(METHODS)), default="gmc", show_default=True)
-@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",
-              help="Write events and curves, in SI.")  # fmt: skip
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path(), metavar="DIR",
+@click.option("--json", "json_file", type=NEW_FILE, metavar="FILE", help="Write events and curves, in SI.")
+@click.option("--out", type=NEW_FOLDER, default=Path(), metavar="DIR",
               help="Folder of the picture CELL_PATH.png. Default: this one.")  # fmt: skip
 def fail(
     cell: Path,
     component: str,
     end: float,
     others: Any,
-    temperature: str | None,
+    temperature: float | None,
     method: str,
     json_file: Path | None,
     out: Path,
@@ -54,13 +54,10 @@ def fail(
     from gmc_service.failure_path import failure_path
     from gmc_service.failure_plots import draw_failure_path
 
-    try:
-        at = None if temperature is None else to_si(temperature, "temperature")
-    except ValueError as error:
-        raise click.BadParameter(f"{temperature!r}: {error}", param_hint="--temperature") from None
-    try:
+    with told_mistakes():
         read = read_cell(cell)
-        read.check_temperature(read.stress_free_temperature if at is None else at)
+        at = read.stress_free_temperature if temperature is None else temperature
+        read.check_temperature(at)
         found = failure_path(read, component, end, others, at, method)
         out.mkdir(parents=True, exist_ok=True)
         picture = out / f"{read.name}_{component}.png"
@@ -68,8 +65,6 @@ def fail(
         draw_failure_path(read, found, component, picture, f"{title}, {component} driven, others {others}")
         if json_file is not None:
             json_file.write_text(json.dumps(_plain(read, found, component, others), indent=2) + "\n", encoding="utf-8")
-    except (ValueError, OSError) as error:
-        raise click.ClickException(str(error)) from None
     click.echo(f"{title}\n{_table(read, found, component, others, end)}\npicture: {picture}")
 
 
@@ -105,7 +100,7 @@ def _plain(cell: Cell, path: FailurePath, component: str, others: str) -> dict[s
     return {
         "path": component,
         "others": others,
-        "order": ["11", "22", "33", "23", "13", "12"],
+        "order": COMPONENTS,
         "events": [
             {
                 "strain": event.strain,

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gmc_service.cell import Cell
+from gmc_service.component_order import COMPONENTS
 from gmc_service.material import CRITERIA, Failure
 
 #: Subcells whose index is within this of one fail together: rounding must not pick one of two equal subcells.
@@ -30,7 +31,6 @@ HASHIN: Final = CRITERIA.index("hashin")
 
 #: Of the largest normal stress: what is smaller has no sign.
 _ROUNDING: Final = 1e-9
-_COMPONENTS: Final = ("11", "22", "33", "23", "13", "12")
 
 
 @nb.njit(nogil=True, cache=True, error_model="numpy")
@@ -154,12 +154,12 @@ def rates_of(failure: Failure) -> NDArray[np.float64]:
         If the criterion is Hashin's and the allowables differ across axis 1: it knows one transverse direction only.
     """
     if failure.criterion == "hashin":
-        for name, first, second in (("tension", 1, 2), ("compression", 1, 2), ("shear", 1, 2)):
-            values = getattr(failure, name)
-            if values[first] != values[second]:
+        for name in ("tension", "compression", "shear"):
+            _, one, other = getattr(failure, name)
+            if one != other:
                 axes = "13 and 12" if name == "shear" else "2 and 3"
                 raise ValueError(
-                    f"{name} of hashin is {values[first]:g} and {values[second]:g} for {axes}; they must be equal, "
+                    f"{name} of hashin is {one:g} and {other:g} for {axes}; they must be equal, "
                     "since the criterion is for materials isotropic across axis 1"
                 )
     return 1.0 / np.array([*failure.tension, *failure.compression, *failure.shear], dtype=np.float64)
@@ -231,4 +231,4 @@ def governing_component(criterion: int, load: NDArray[np.float64], rates: NDArra
     ratios = np.concatenate([load[:3] * rates[:3], -load[:3] * rates[3:6], np.abs(load[3:]) * rates[6:]])
     most = int(np.argmax(ratios))
     sense = ("tension", "compression", "shear")[most // 3]
-    return f"{_COMPONENTS[most if most < 3 else most - 3]} {sense}"
+    return f"{COMPONENTS[most if most < 3 else most - 3]} {sense}"

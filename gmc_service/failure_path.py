@@ -14,12 +14,13 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from gmc_service import component_order
 from gmc_service.cell import Cell
 from gmc_service.failed_cell import FailedCell
 from gmc_service.failure import FAILS_AT, HASHIN, TSAI_HILL, checks_of, failure_index, governing_component
 from gmc_service.material import CRITERIA
 
-COMPONENTS: Final = ("eps11", "eps22", "eps33", "eps23", "eps13", "eps12")
+COMPONENTS: Final = tuple(f"eps{component}" for component in component_order.COMPONENTS)
 #: What the other components do: their strains are held at zero, or their stresses are zero.
 Others = Literal["held", "free"]
 #: Parts of a stretch without change of sign in which a quadratic criterion is looked at before its root is sought.

@@ -12,6 +12,8 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 
+from gmc_service.command_options import CELL_FILE, NEW_FOLDER, Temperature, told_mistakes
+from gmc_service.component_order import COMPONENTS
 from gmc_service.methods import METHODS
 from protocol.quantities import to_si
 
@@ -19,8 +21,7 @@ if TYPE_CHECKING:
     from gmc_service.cell_file import NamedCell
     from gmc_service.mixed_load import MixedLoad
 
-COMPONENTS: Final = ("11", "22", "33", "23", "13", "12")
-_LOAD: Final = re.compile(r"(eps|sig)(11|22|33|23|13|12)=(.+)")
+_LOAD: Final = re.compile(rf"(eps|sig)({'|'.join(COMPONENTS)})=(.+)")
 _ROWS: Final = 100  # subcells up to which the table has one row for each
 
 
@@ -46,22 +47,15 @@ def _loads(context: click.Context, option: click.Parameter, words: tuple[str, ..
     return MixedLoad(values, is_stress)
 
 
-def _temperature(context: click.Context, option: click.Parameter, text: str | None) -> float | None:
-    try:
-        return None if text is None else to_si(text, "temperature")
-    except ValueError as error:
-        raise click.BadParameter(f"{text!r}: {error}") from None
-
-
-@click.command(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
-@click.argument("cell", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.command()
+@click.argument("cell", type=CELL_FILE)
 @click.option(
     "--load", "load", multiple=True, callback=_loads, metavar="eps22=0.002", help="May be given up to six times."
 )
-@click.option("--temperature", callback=_temperature, metavar="QUANTITY", help="Default: stress-free.")
+@click.option("--temperature", type=Temperature(), metavar="QUANTITY", help='Such as "80 degC". Default: stress-free.')
 @click.option("--method", type=click.Choice(tuple(METHODS)), default="gmc", show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, in SI.")
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder for a picture of each component.")
+@click.option("--out", type=NEW_FOLDER, help="Folder for a picture of each component.")
 def fields(
     cell: Path, load: MixedLoad, temperature: float | None, method: str, as_json: bool, out: Path | None
 ) -> None:
@@ -72,10 +66,8 @@ def fields(
     """
     from gmc_service.cell_file import read_cell
 
-    try:
+    with told_mistakes():
         _report(read_cell(cell), load, temperature, method, as_json, out)
-    except (ValueError, OSError) as error:
-        raise click.ClickException(str(error)) from None
 
 
 def _report(

@@ -36,21 +36,7 @@ def homogenise(
     stiffness: NDArray[np.float64],
     expansion: NDArray[np.float64],
 ) -> Homogenised:
-    """Homogenise a cell of subcells of any anisotropy; see `gmc_service.homogenised.Homogenise`.
-
-    Parameters
-    ----------
-    heights, widths : ndarray of float, shape (rows,) and (columns,)
-        m.
-    stiffness : ndarray of float, shape (subcells, 6, 6)
-        Pa.
-    expansion : ndarray of float, shape (subcells, 6)
-        1/K.
-
-    Returns
-    -------
-    Homogenised
-    """
+    """Homogenise a cell; arguments and answer are those of `gmc_service.homogenised.Homogenise`."""
     conditions, macroscopic, is_stress = _conditions(heights, widths, stiffness)
     # A unit of each macroscopic strain, and one kelvin: there the stress of a subcell is C (strain - expansion), so
     # the part of the expansion goes to the other side of the conditions on stresses, and to no other.

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
-from gmc_service.homogenised import Homogenised
+from gmc_service.homogenised import Homogenised, check_sizes
 from gmc_service.periodic_elements import PeriodicMesh, homogenise_mesh
 
 #: Elements along each side of a square cell where no refinement is given.
@@ -41,9 +41,7 @@ def grid_mesh(heights: NDArray[np.float64], widths: NDArray[np.float64], refinem
     ValueError
         If a size or the refinement is not positive.
     """
-    for name, sizes in (("heights", heights), ("widths", widths)):
-        if not (np.isfinite(sizes).all() and (sizes > 0.0).all()):
-            raise ValueError(f"{name} are {sizes} m; every size must be finite and greater than 0")
+    check_sizes(heights, widths)
     if refinement < 1:
         raise ValueError(f"refinement is {refinement}; it must be at least 1")
     share = np.arange(refinement + 1) / refinement
@@ -81,16 +79,12 @@ def homogenise(
     expansion: NDArray[np.float64],
     refinement: int | None = None,
 ) -> Homogenised:
-    """Homogenise a cell by finite elements; see `Homogenise` for the other arguments.
+    """Homogenise a cell by finite elements.
 
     Parameters
     ----------
-    heights, widths : ndarray, shapes (rows,) and (columns,)
-        m.
-    stiffness : ndarray, shape (rows * columns, 6, 6)
-        Pa; symmetric, positive definite, any anisotropy.
-    expansion : ndarray, shape (rows * columns, 6)
-        1/K.
+    heights, widths, stiffness, expansion
+        See `gmc_service.homogenised.Homogenise`.
     refinement : int, optional
         Elements along each side of a subcell; `default_refinement` where it is not given.
 

@@ -45,6 +45,31 @@ class Homogenise(Protocol):
         stiffness: NDArray[np.float64],
         expansion: NDArray[np.float64],
     ) -> Homogenised:
-        """Homogenise a cell of which row heights (rows,) and column widths (columns,), m, and for each subcell (flat
-        index beta * columns + gamma) stiffness (subcells, 6, 6), Pa, and expansion (subcells, 6), 1/K, are given.
+        """Homogenise a cell.
+
+        Parameters
+        ----------
+        heights, widths : ndarray of float, shape (rows,) and (columns,)
+            Extents of the rows along axis 2 and of the columns along axis 3, m.
+        stiffness : ndarray of float, shape (subcells, 6, 6)
+            Pa; symmetric, positive definite, any anisotropy. Subcell (beta, gamma) is beta * columns + gamma.
+        expansion : ndarray of float, shape (subcells, 6)
+            1/K.
+
+        Returns
+        -------
+        Homogenised
         """
+
+
+def check_sizes(heights: NDArray[np.float64], widths: NDArray[np.float64]) -> None:
+    """Refuse sizes of rows or columns that are not finite and greater than 0.
+
+    Raises
+    ------
+    ValueError
+        With the name of the argument.
+    """
+    for name, sizes in (("heights", heights), ("widths", widths)):
+        if not (np.isfinite(sizes).all() and (sizes > 0.0).all()):
+            raise ValueError(f"{name} are {sizes} m; every size must be finite and greater than 0")

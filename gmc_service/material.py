@@ -12,10 +12,11 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.stiffness import stiffness_problem
+
 Criterion = Literal["maximum_stress", "maximum_strain", "tsai_hill", "hashin"]
 CRITERIA: Final[tuple[Criterion, ...]] = ("maximum_stress", "maximum_strain", "tsai_hill", "hashin")
 UNLIMITED: Final = (np.inf, np.inf, np.inf)
-_LEAST_STABLE: Final = 1e-14  # smallest eigenvalue of the stiffness with ones on its diagonal
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ class Material:
     ----------
     name : str
     temperatures : ndarray of float, shape (temperatures,)
-        K, ascending. Between them the table is linear; outside it the nearest entry is an error.
+        K, ascending. Between them the table is linear; a temperature outside it is an error.
         One entry: the constants hold at any temperature.
     stiffness : ndarray of float, shape (temperatures, 6, 6)
         Pa; symmetric, positive definite.
@@ -123,15 +124,9 @@ class Material:
             if not np.isfinite(values).all():
                 raise ValueError(f"{name} of {self.name} holds a number that is not finite")
         for one in self.stiffness:
-            if np.abs(one - one.T).max() > 1e-9 * np.abs(one).max():
-                raise ValueError(f"stiffness of {self.name} is not symmetric")
-            diagonal = np.diag(one)
-            if not (diagonal > 0.0).all():
-                raise ValueError(f"stiffness of {self.name} has {diagonal.min():g} Pa on its diagonal; it must be > 0")
-            scale = 1.0 / np.sqrt(diagonal)
-            smallest = float(np.linalg.eigvalsh(one * np.outer(scale, scale))[0])
-            if not smallest > _LEAST_STABLE:
-                raise ValueError(f"stiffness of {self.name} is not positive definite: some strain would release energy")
+            problem = stiffness_problem(one)
+            if problem is not None:
+                raise ValueError(f"stiffness of {self.name} {problem}")
         if self.fracture_energy is not None and not (np.isfinite(self.fracture_energy) and self.fracture_energy > 0.0):
             raise ValueError(f"fracture_energy of {self.name} is {self.fracture_energy}; it must be greater than 0")
         if self.density is not None and not (np.isfinite(self.density) and self.density > 0.0):
@@ -218,15 +213,3 @@ def constant_material(
         fracture_energy=fracture_energy,
         plasticity=plasticity,
     )
-
-
-__all__ = [
-    "CRITERIA",
-    "UNLIMITED",
-    "Criterion",
-    "Failure",
-    "Material",
-    "Plasticity",
-    "constant_material",
-    "isotropic_stiffness",
-]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label
 
-from gmc_service.homogenised import Homogenised
+from gmc_service.homogenised import Homogenised, check_sizes
 
 #: Directions around the cylinder: the first is exact where the matrix is isotropic around axis 1.
 _FIRST_DIRECTIONS: Final = 16
@@ -107,16 +107,14 @@ def homogenise(
     expansion: NDArray[np.float64],
     matrix: int | None = None,
 ) -> Homogenised:
-    """Homogenise by the shares of the phases of a cell; see `Homogenise` for the other arguments.
+    """Homogenise by the shares of the phases of a cell.
+
+    Subcells with equal stiffness and expansion are one phase, so failed ones are phases of their own.
 
     Parameters
     ----------
-    heights, widths : ndarray, shapes (rows,) and (columns,)
-        m.
-    stiffness : ndarray, shape (rows * columns, 6, 6)
-        Pa. Subcells with equal stiffness and expansion are one phase, so failed ones are phases of their own.
-    expansion : ndarray, shape (rows * columns, 6)
-        1/K.
+    heights, widths, stiffness, expansion
+        See `gmc_service.homogenised.Homogenise`.
     matrix : int, optional
         A subcell of the matrix; where it is not given, `find_matrix` chooses.
 
@@ -130,9 +128,7 @@ def homogenise(
     ValueError
         If a size is not positive, there is no such subcell, or see `hill_tensor`.
     """
-    for name, sizes in (("heights", heights), ("widths", widths)):
-        if not (np.isfinite(sizes).all() and (sizes > 0.0).all()):
-            raise ValueError(f"{name} are {sizes} m; every size must be finite and greater than 0")
+    check_sizes(heights, widths)
     subcells = len(stiffness)
     if matrix is not None and not 0 <= matrix < subcells:
         raise ValueError(f"matrix is subcell {matrix}; it must lie between 0 and {subcells - 1}")

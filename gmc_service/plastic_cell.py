@@ -77,8 +77,7 @@ class PlasticCell:
         phase = cell.phase.reshape(-1)
         self._yields = np.array([np.inf if law is None else law.yield_stress for law in laws])[phase]
         self._hardening = np.array([0.0 if law is None else law.hardening for law in laws])[phase]
-        found = checks_of(cell)
-        self._checks = (found.subcell, found.criterion, found.rates)
+        self._checks = checks_of(cell).arrays
 
     def evaluate(
         self,
@@ -115,8 +114,8 @@ class PlasticCell:
         stress, tangents = np.empty_like(strain), np.empty((len(strain), 6, 6))
         unclosed = np.empty(len(strain), dtype=np.int64)
         count = respond(
-            self._heights, self._widths, self._constants(temperature), self._free(temperature), self._checks, strain,
-            failed, history, stress, tangents, unclosed,
+            self._heights, self._widths, self._constants(temperature), self.cell.thermal_strain_at(temperature),
+            self._checks, strain, failed, history, stress, tangents, unclosed,
         )  # fmt: skip
         if count:
             point = int(unclosed[0])
@@ -141,7 +140,7 @@ class PlasticCell:
         stress, strain : ndarray, shape (points, subcells, 6)
         """
         return strains_at_rest(
-            self._heights, self._widths, self._constants(temperature), self._free(temperature),
+            self._heights, self._widths, self._constants(temperature), self.cell.thermal_strain_at(temperature),
             np.ascontiguousarray(strain, dtype=np.float64), failed, np.ascontiguousarray(history, dtype=np.float64),
         )  # fmt: skip
 
@@ -172,9 +171,6 @@ class PlasticCell:
         self, temperature: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
         return self.cell.stiffness_at(temperature), self._yields, self._hardening, self.cell.knock_down
-
-    def _free(self, temperature: float) -> NDArray[np.float64]:
-        return self.cell.expansion_at(temperature) * (temperature - self.cell.stress_free_temperature)
 
 
 def _check_isotropic(name: str, stiffness: NDArray[np.float64]) -> None:

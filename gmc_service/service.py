@@ -93,7 +93,8 @@ class MicromechanicsService(Service):
         failed, history = _state(evaluator, request)
         answers = list(self._parts(evaluator, request, failed, history))
         now = _joined([answer.failed for answer in answers])
-        index, tangents = join_tables([(answer.tangent_index, answer.tangents) for answer in answers])
+        tables = [(answer.tangent_index, answer.tangents) for answer in answers]
+        index, tangents = tables[0] if len(tables) == 1 else join_tables(tables)  # a part's own is distinct already
         return m.Evaluated(
             stress=_joined([answer.stress for answer in answers]),
             failed=now,
@@ -146,7 +147,6 @@ class MicromechanicsService(Service):
         """Effective constants of a cell."""
         evaluator = self._evaluator(request.cell)
         failed = np.zeros(evaluator.failed_bytes, np.uint8) if request.failed is None else request.failed
-        _check_bits(failed[None], evaluator)
         try:
             found = evaluator.homogenised(request.temperature, failed)
         except ValueError as error:
@@ -265,35 +265,20 @@ def _limits(given: tuple[float | None, float | None, float | None]) -> tuple[flo
 
 
 def _state(evaluator: Evaluator, request: m.LocaliseRequest) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """Return failed bits and history of the points of a query, checked against the cell."""
+    """Return failed bits and history of the points of a query, checked before any of its parts is answered."""
     points = len(request.strain)
-    failed, history = request.failed, request.history
-    if failed is None:
-        failed = np.zeros((points, evaluator.failed_bytes), np.uint8)
-    else:
-        _check_bits(failed, evaluator)
-    if history is None:
-        history = np.zeros((points, evaluator.history_values))
-    elif history.shape[1] != evaluator.history_values:
-        raise _bad("history", f"has {history.shape[1]} values for each point; this cell has {evaluator.history_values}")
+    failed = np.zeros((points, evaluator.failed_bytes), np.uint8) if request.failed is None else request.failed
+    history = np.zeros((points, evaluator.history_values)) if request.history is None else request.history
+    try:
+        evaluator.check_state(points, failed, history)
+    except ValueError as error:
+        raise _refused(error, "failed", type(request)) from None
     return failed, history
-
-
-def _check_bits(failed: NDArray[np.uint8], evaluator: Evaluator) -> None:
-    if failed.shape[1] != evaluator.failed_bytes:
-        raise _bad("failed", f"has {failed.shape[1]} bytes for each point; this cell has {evaluator.failed_bytes}")
-    used = evaluator.cell.subcells - 8 * (evaluator.failed_bytes - 1)
-    if len(failed) and int(np.bitwise_or.reduce(failed[:, -1])) >> used:
-        raise _bad("failed", f"has bits beyond the {evaluator.cell.subcells} subcells of this cell")
-
-
-def _bad(field: str, problem: str) -> ProtocolError:
-    return ProtocolError("bad_field", f"{field} {problem}", field=field)
 
 
 def _refused(error: ValueError, otherwise: str, request: type, start: str = "") -> ProtocolError:
     """Return what the solver refused as an error that names the field; its sentences begin with the field's name."""
-    first = str(error).split()[0] if str(error) else ""
+    first = str(error).partition(" ")[0].partition("[")[0]  # also of one point, as in strain[3]
     named = first in request.model_fields  # type: ignore[attr-defined]
     return ProtocolError("bad_field", str(error), field=start + first if named else otherwise)
 

@@ -208,6 +208,7 @@ def respond(  # type: ignore[no-untyped-def]
     governing = np.zeros(count, dtype=np.int64)
     damaged, eigenstress = np.empty((count, 6, 6)), np.empty((count, 6, 1))
     load = np.empty(6)
+    unit, none = np.eye(6), np.zeros((count, 6, 6))
     for point in range(len(strains)):
         macroscopic = strains[point].copy().reshape(6, 1)
         settled = False
@@ -239,7 +240,7 @@ def respond(  # type: ignore[no-untyped-def]
                 break
         if not settled:
             return point
-        concentration = solve_subcells(heights, widths, damaged, np.zeros((count, 6, 6)), np.eye(6))
+        concentration = solve_subcells(heights, widths, damaged, none, unit)
         stresses[point] = 0.0
         tangents[point] = 0.0
         for n in range(count):

@@ -6,11 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gmc_service.cell import Cell
+from gmc_service.component_order import COMPONENTS
 from gmc_service.failure import MAXIMUM_STRAIN, Checks
 from gmc_service.gmc_reduced import solve_subcells
 from gmc_service.softening import VALUES, length_share, respond
-
-_COMPONENTS = ("11", "22", "33", "23", "13", "12")
 
 
 class SofteningCell:
@@ -101,8 +100,8 @@ class SofteningCell:
         failed, damages = failed.copy(), self._damages(history)
         stress, tangents = np.empty((len(strain), 6)), np.empty((len(strain), 6, 6))
         point = respond(
-            self._heights, self._widths, self._shares, self.cell.stiffness_at(temperature), self._free(temperature),
-            self.cell.knock_down, self._energy, self._checks.arrays,
+            self._heights, self._widths, self._shares, self.cell.stiffness_at(temperature),
+            self.cell.thermal_strain_at(temperature), self.cell.knock_down, self._energy, self._checks.arrays,
             strain, element_length, failed, damages, stress, tangents,
         )  # fmt: skip
         if point >= 0:
@@ -117,7 +116,7 @@ class SofteningCell:
         history: NDArray[np.float64],
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Stress and strain, shape (points, subcells, 6), of the subcells with the damage that the history holds."""
-        stiffness, free = self.cell.stiffness_at(temperature), self._free(temperature)
+        stiffness, free = self.cell.stiffness_at(temperature), self.cell.thermal_strain_at(temperature)
         kept = np.where(failed, self.cell.knock_down, 1.0 - self._damages(history)[:, :, 0])
         stress, local = np.empty((len(strain), self.cell.subcells, 6)), np.empty((len(strain), self.cell.subcells, 6))
         for point in range(len(strain)):
@@ -184,13 +183,10 @@ class SofteningCell:
                 if limit < found[0]:
                     sense = ("tension", "compression", "shear")[place // 3]
                     name = self.cell.materials[self.cell.phase.reshape(-1)[n]].name
-                    found = (limit, name, f"{_COMPONENTS[component]} {sense}")
+                    found = (limit, name, f"{COMPONENTS[component]} {sense}")
         return found
 
     def _damages(self, history: NDArray[np.float64]) -> NDArray[np.float64]:
         damages = np.zeros((len(history), self.cell.subcells, VALUES))
         damages[:, self.subcells] = history.reshape(len(history), len(self.subcells), VALUES)
         return damages
-
-    def _free(self, temperature: float) -> NDArray[np.float64]:
-        return self.cell.expansion_at(temperature) * (temperature - self.cell.stress_free_temperature)

@@ -15,14 +15,16 @@ import tempfile
 import threading
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Final
 
 from gmc_service.front import Executor, Job
 from protocol.client import Client
 from protocol.errors import ConnectionProblem, ProtocolError
-from protocol.messages import Acknowledged
+from protocol.messages import Acknowledged, Message
 from protocol.micromechanics import CellRegistered
+from protocol.micromechanics_query import ask_or_register
 from protocol.service import Capabilities
 
 log = logging.getLogger(__name__)
@@ -149,7 +151,7 @@ class WorkerProcesses(Executor):
                     return
                 job, batch = self._jobs.popleft()
             try:
-                answer: object = worker.perform(job, batch)
+                answer: Message | ProtocolError | None = worker.perform(job, batch)
             except (WorkerEnded, ConnectionProblem) as problem:
                 job.tries += 1
                 answer = None
@@ -172,14 +174,14 @@ class WorkerProcesses(Executor):
                 answer = ProtocolError("internal", f"{type(error).__name__}: {error}")
             self._settle(job, batch, answer)
 
-    def _settle(self, job: Job, batch: _Batch, answer: object) -> None:
+    def _settle(self, job: Job, batch: _Batch, answer: Message | ProtocolError | None) -> None:
         """Note the answer of a job; without one it goes back to the head of the queue."""
         with self._changed:
             if answer is None:
                 if not batch.dropped:
                     self._jobs.appendleft((job, batch))
             else:
-                job.answer = answer  # type: ignore[assignment]
+                job.answer = answer
                 batch.left -= 1
             self._changed.notify_all()
 
@@ -256,20 +258,17 @@ class _Worker:
             self._endpoint, "micromechanics", run="front", watch=self._watch, deadline=READY_SECONDS
         )
 
-    def perform(self, job: Job, batch: _Batch) -> object:
+    def perform(self, job: Job, batch: _Batch) -> Message:
         """Return the reply to a job; a worker that does not know the cell is told what it is."""
         if self.client is None:
             raise WorkerEnded("it is not connected")
         self._watch()
         self._batch = batch
+        ask = partial(self.client.call, job.operation, job.request, job.reply)
         try:
-            try:
-                return self.client.call(job.operation, job.request, job.reply)
-            except ProtocolError as error:
-                if error.code != "unknown_cell" or job.definition is None:
-                    raise
-            self.client.call("register", job.definition, CellRegistered)
-            return self.client.call(job.operation, job.request, job.reply)
+            if job.definition is None:
+                return ask()
+            return ask_or_register(ask, partial(self.client.call, "register", job.definition, CellRegistered))
         finally:
             self._batch = None
 

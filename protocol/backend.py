@@ -7,10 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from protocol.micromechanics import RegisterCell
 from protocol.service import Service
+
+if TYPE_CHECKING:
+    from protocol.micromechanics import RegisterCell
 
 GROUP = "scalebridge.backends"
 

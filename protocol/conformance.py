@@ -12,6 +12,7 @@ from protocol.conformance_cracks import CrackChecks
 from protocol.conformance_kit import Check
 from protocol.conformance_micromechanics import MicromechanicsChecks
 from protocol.conformance_overlap import OverlapChecks
+from protocol.conformance_problems import Problem
 from protocol.conformance_structure import StructureChecks
 from protocol.conformance_wire import WireChecks
 from protocol.malformed_messages import malformed_messages
@@ -92,13 +93,7 @@ class Kit(WireChecks, StructureChecks, AtomisticChecks, CrackChecks, OverlapChec
         self._check("advance: moves the step counter, replies fit the problem", lambda: self._advance_replies(problem))
         self._check("fields: each named one is answered", lambda: self._fields(problem))
         self._check("fields: an unknown name is refused", self._unknown_field_name)
-        self._check("id: a repeated request is answered from its reply, run once", lambda: self._repeated(problem))
-        self._check("id: an old one is never run again", lambda: self._old_id(problem))
-        self._check("id: one that is used for another request is refused", lambda: self._reused_id(problem))
-        self._check("checkpoint: going back to it gives the same bits", lambda: self._go_back(problem))
-        self._check("checkpoint: a problem set anew goes on with the same bits", lambda: self._resume(problem))
-        self._check("restore: a state that does not fit is refused", self._wrong_states)
-        self._kinds(problem)
+        self._steps_and_states(problem)
         self._atomistic(problem)
         self._cracks(problem)
         self._overlaps(problem)
@@ -108,6 +103,16 @@ class Kit(WireChecks, StructureChecks, AtomisticChecks, CrackChecks, OverlapChec
         self._check("size: a message beyond the limit is refused", self._too_large)
         self._check("size: arrays without rows are understood", lambda: self._zero_rows(problem))
         self._check("end: the service still answers", self._still_there)
+
+    def _steps_and_states(self, problem: Problem) -> None:
+        """Make the checks of a problem that is set: steps are made once, states are kept, every kind of it is taken."""
+        self._check("id: a repeated request is answered from its reply, run once", lambda: self._repeated(problem))
+        self._check("id: an old one is never run again", lambda: self._old_id(problem))
+        self._check("id: one that is used for another request is refused", lambda: self._reused_id(problem))
+        self._check("checkpoint: going back to it gives the same bits", lambda: self._go_back(problem))
+        self._check("checkpoint: a problem set anew goes on with the same bits", lambda: self._resume(problem))
+        self._check("restore: a state that does not fit is refused", self._wrong_states)
+        self._kinds(problem)
 
     def _micromechanics(self) -> None:
         """Make the checks of a role that holds no state."""
@@ -155,13 +160,7 @@ class Kit(WireChecks, StructureChecks, AtomisticChecks, CrackChecks, OverlapChec
         self._check("force: is that of the whole plate", lambda: self._symmetries(problem))
         self._check("failure: is counted, kept, and ends with the load", lambda: self._all_fail(problem))
         self._check("problem: is set anew", lambda: self._set(problem))
-        self._check("id: a repeated request is answered from its reply, run once", lambda: self._repeated(problem))
-        self._check("id: an old one is never run again", lambda: self._old_id(problem))
-        self._check("id: one that is used for another request is refused", lambda: self._reused_id(problem))
-        self._check("checkpoint: going back to it gives the same bits", lambda: self._go_back(problem))
-        self._check("checkpoint: a problem set anew goes on with the same bits", lambda: self._resume(problem))
-        self._check("restore: a state that does not fit is refused", self._wrong_states)
-        self._kinds(problem)
+        self._steps_and_states(problem)
         self._wrong_fields(problem)
         self._check("control: status while it waits for its cells, and abort", lambda: self._abort_in_query(problem))
         self._check("state failed: only configure helps", lambda: self._failed(problem))

@@ -256,8 +256,8 @@ class MicromechanicsChecks(SolverChecks):
             "history": np.zeros((POINTS, registered.history_values)),
         }
         first, second = (self._work.ask("evaluate", request.model_copy(update=state)) for state in ({}, zeros))
-        if difference(first, second):
-            raise Refuted(f"without state and with zeros: {difference(first, second)}")
+        if apart := difference(first, second):
+            raise Refuted(f"without state and with zeros: {apart}")
         bare = self._evaluated(request.model_copy(update={"want_tangent": False}))
         if bare.tangent_index is not None or bare.tangents is not None:
             raise Refuted("tangents are answered though they are not wanted")

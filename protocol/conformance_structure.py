@@ -222,7 +222,12 @@ class StructureChecks(SolverChecks):
         failed = self._work.reply("fields", FieldsRequest(names=["failed"]), FieldsReply).fields["failed"]
         if not np.array_equal(failed, np.ones((len(built.bricks), 1))):
             raise Refuted("the field failed is not 1 everywhere")
+        saved = self._checkpoint()
+        self._configured(problem, **_plain(), angles=[0.0], increments=steps)
+        self._restore(saved)
         last = self._work.reply("advance", s.StructureAdvance(), s.StructureAdvanced)
+        if last.new_failures.any():
+            raise Refuted(f"after a checkpoint new_failures is {last.new_failures.tolist()}, although all have failed")
         if last.load != 1.0:
             raise Refuted(f"the last load is {last.load!r}, must be 1")
         expect_error(self._work.ask("advance", s.StructureAdvance()), REFUSED)

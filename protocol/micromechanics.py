@@ -29,13 +29,10 @@ from protocol.messages import (
     check_indices,
     wrong,
 )
+from protocol.stiffness import stiffness_problem
 from protocol.version import Version
 
 ByteArray = NDArray[np.uint8]
-#: Smallest eigenvalue that a stiffness may have after its diagonal was scaled to ones, as a test of stability.
-LEAST_STABLE = 1e-14
-#: Largest relative difference between a stiffness and its transpose.
-MOST_UNSYMMETRIC = 1e-9
 
 CellId = Annotated[str, Field(min_length=1, max_length=128)]
 Three = Annotated[tuple[Positive | None, Positive | None, Positive | None], Field(strict=False)]
@@ -95,22 +92,10 @@ class CellMaterial(Part):
             if len(rows) != len(self.temperatures):
                 raise wrong(name, f"has {len(rows)} entries, temperatures has {len(self.temperatures)}")
         for entry in self.stiffness:
-            _check_stiffness(np.reshape(entry, (6, 6)))
+            problem = stiffness_problem(np.reshape(entry, (6, 6)))
+            if problem is not None:
+                raise wrong("stiffness", problem)
         return self
-
-
-def _check_stiffness(matrix: NDArray[np.float64]) -> None:
-    """Raise the error of field `stiffness` unless a matrix is symmetric and positive definite."""
-    if np.abs(matrix - matrix.T).max() > MOST_UNSYMMETRIC * np.abs(matrix).max():
-        raise wrong("stiffness", "is not symmetric")
-    diagonal = np.diag(matrix)
-    if not (diagonal > 0.0).all():
-        raise wrong("stiffness", f"has {diagonal.min():g} Pa on its diagonal; it must be positive definite")
-    scale = 1.0 / np.sqrt(diagonal)
-    with np.errstate(over="ignore", invalid="ignore"):
-        scaled = matrix * scale[:, None] * scale[None, :]
-    if not np.isfinite(scaled).all() or not float(np.linalg.eigvalsh(scaled)[0]) > LEAST_STABLE:
-        raise wrong("stiffness", "is not positive definite: some strain would release energy")
 
 
 class RegisterCell(Message):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from typing import Final, TypeVar
 
@@ -15,6 +15,7 @@ from protocol.micromechanics import CellRegistered, Evaluated, EvaluateRequest, 
 from protocol.tangent_table import join_tables
 
 Query = TypeVar("Query", bound=LocaliseRequest)
+Answer = TypeVar("Answer")
 
 #: Points of one part of a query: its arrays are a few megabytes, which memory that was used before can hold.
 PART_POINTS: Final = 32_768
@@ -62,6 +63,17 @@ def join_localised(parts: Sequence[Localised]) -> Localised:
     )
 
 
+def ask_or_register(ask: Callable[[], Answer], register: Callable[[], object]) -> Answer:
+    """Return what `ask` answers; where the service does not know the cell, register it and ask again."""
+    try:
+        return ask()
+    except ProtocolError as error:
+        if error.code != "unknown_cell":
+            raise
+    register()
+    return ask()
+
+
 class CellQueries:
     """Queries of one cell: it is registered first, and again where a service has forgotten it.
 
@@ -98,10 +110,4 @@ class CellQueries:
         def ask() -> Evaluated:
             return join_evaluated(list(self._client.call_each("evaluate", split(request, bounds), Evaluated)))
 
-        try:
-            return ask()
-        except ProtocolError as error:
-            if error.code != "unknown_cell":
-                raise
-        self._register()
-        return ask()
+        return ask_or_register(ask, self._register)

@@ -22,7 +22,7 @@ from gmc_service.verification.failure_events import neat_composite
 from protocol import micromechanics as m
 from protocol.arrays import all_finite
 from protocol.client import Client
-from protocol.micromechanics_query import CellQueries
+from protocol.micromechanics_query import PART_POINTS, CellQueries
 from protocol.verification import Case, Check
 
 POINTS: Final = 1_000_000
@@ -33,6 +33,8 @@ STRAIN: Final = 8.5e-3
 WANTED: Final = 0.6
 #: Times that a number crosses the check for NaN: where a message is made and where it arrives, both ways.
 PASSES: Final = 4
+
+IN_PARTS: Final = "in process, in parts"
 
 _SERVE = """
 import sys
@@ -91,6 +93,11 @@ def _speed(folder: Path) -> list[Check]:
             if warm:  # compiles, and fills tables of damage masks
                 seconds.clear()
             expected = timed("in process", lambda: evaluator.evaluate(strain, 300.0, failed, history))
+            began = time.perf_counter()
+            for start in range(0, POINTS, PART_POINTS):
+                part = slice(start, start + PART_POINTS)
+                evaluator.evaluate(strain[part], 300.0, failed[part], history[part])
+            seconds.setdefault(IN_PARTS, []).append(time.perf_counter() - began)
             for transport, client in clients.items():
                 timing, before = client.timing, dict(vars(client.timing))
                 label = f"{transport}, one message"
@@ -113,8 +120,9 @@ def _speed(folder: Path) -> list[Check]:
 
 
 def _share(transport: str, medians: dict[str, float], parts: dict[str, Seconds], checked: float) -> Check:
-    alone, whole, inside = (medians[name] for name in ("in process", f"{transport}, one message",
-                                                       f"{transport}, in parts"))  # fmt: skip
+    whole, inside = medians[f"{transport}, one message"], medians[f"{transport}, in parts"]
+    # Small parts spare the evaluator new memory, too: the wire is held against the faster of both ways in process.
+    alone = min(medians["in process"], medians[IN_PARTS])
     components = _components(medians, parts[f"{transport}, one message"], f"{transport}, one message", checked)
     words = ", ".join(f"{name} {1e3 * value:.0f}" for name, value in components.items())
     return Check(
@@ -151,6 +159,7 @@ def _draw(path: Path, medians: dict[str, float], parts: dict[str, Seconds], chec
     figure = Figure(figsize=(8.0, 3.2), layout="constrained")
     axes = figure.subplots()
     labels = list(medians)
+    alone = min(medians["in process"], medians[IN_PARTS])
     colours = ("#4477aa", "#ccbb44", "#ee6677", "#bbbbbb")
     named: set[str] = set()
     for row, label in enumerate(labels):
@@ -162,12 +171,12 @@ def _draw(path: Path, medians: dict[str, float], parts: dict[str, Seconds], chec
                 named.add(name)
                 left += value
         else:
-            axes.barh(row, medians[label], color="#4477aa" if label == "in process" else "#228833")
-        axes.text(medians[label], row, f" {medians['in process'] / medians[label]:.0%}", va="center")
+            axes.barh(row, medians[label], color="#4477aa" if label.startswith("in process") else "#228833")
+        axes.text(medians[label], row, f" {alone / medians[label]:.0%}", va="center")
     axes.set_yticks(range(len(labels)), labels)
     axes.invert_yaxis()
     axes.set_xlim(0.0, 1.35 * max(medians.values()))
-    axes.axvline(medians["in process"] / WANTED, color="black", linestyle=":", linewidth=1.0)
+    axes.axvline(alone / WANTED, color="black", linestyle=":", linewidth=1.0)
     axes.set_xlabel(f"seconds of a query of {POINTS:,} points; dotted: {WANTED:.0%} of the rate in process")
     figure.legend(loc="outside upper center", ncols=4, fontsize="small")
     figure.savefig(path, dpi=150)

@@ -12,13 +12,18 @@ import matplotlib.image
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from small_laminate import PEAK, small_laminate
+from rich.console import Console
+from small_laminate import PEAK, SCENE, small_laminate
 
 from coordinator.cli import cli
+from coordinator.interruption import Interrupted
 from coordinator.laminate_report import make_laminate_report
 from coordinator.laminate_results import LaminateResults
-from coordinator.laminate_run import measures_of
+from coordinator.laminate_run import LaminateRun, measures_of
+from coordinator.laminate_scene import load_laminate
+from coordinator.launcher import ServiceDied
 from coordinator.summary import Summary
+from protocol.errors import ProtocolError
 
 
 def summary(
@@ -103,3 +108,40 @@ def test_the_command_report_makes_the_page_of_a_laminate(tmp_path: Path) -> None
     small_laminate().write(tmp_path / "results.h5")
     result = CliRunner().invoke(cli, ["report", str(tmp_path)])
     assert result.exit_code == 0 and result.output.strip() == str(tmp_path / "report.html")
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "code", "said", "resumes"),
+    [
+        (None, "finished", 0, "the whole elongation is reached", False),
+        (Interrupted(), "interrupted", 130, "stopped", True),
+        (ServiceDied("the structure service is gone"), "failed", 1, "the structure service is gone", True),
+        (ProtocolError("solver_failed", "no equilibrium"), "failed", 1, "no equilibrium", False),
+        (OSError("no space left"), "failed", None, "no space left", False),
+    ],
+)
+def test_however_a_run_ends_its_summary_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception | None, status: str, code: int | None, said: str,
+    resumes: bool,
+) -> None:  # fmt: skip
+    run = LaminateRun(
+        load_laminate(SCENE), tmp_path / "run", "scalebridge run it", resume=False, attached={}, keys=None,
+        console=Console(quiet=True),
+    )  # fmt: skip
+
+    def ends(*_: object) -> str:
+        run._results = small_laminate(3)
+        if error is not None:
+            raise error
+        return "the whole elongation is reached"
+
+    monkeypatch.setattr(run, "_run", ends)
+    if code is None:
+        with pytest.raises(OSError, match=said):
+            run.execute()
+    else:
+        assert run.execute() == code
+    told = Summary.read(tmp_path / "run")
+    assert told is not None and (told.status, told.steps) == (status, 3)
+    assert said in told.reason and ("scalebridge run it --resume" in told.reason) == resumes
+    assert LaminateResults.read(tmp_path / "run" / "results.h5").increments == 3

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from coordinator.laminate_check import describe_laminate, plane_elements
-from coordinator.laminate_scene import LaminateScene, load_laminate, read_resolved_laminate
+from coordinator.laminate_scene import LaminateScene, load_laminate
 from coordinator.scene_file import SceneError
 from coordinator.scene_kind import is_laminate
 
@@ -146,15 +146,6 @@ def test_overrides_are_checked_like_the_file(tmp_path: Path) -> None:
     found = problems(tmp_path, SCENE, "mesh.around=5", "laminate.layup=[0/95]")
     assert sorted(line.split(":")[0] for line in found) == ["--set", "--set"]
     assert any("holds the angle 95, allowed is -90 to 90 degrees" in line for line in found)
-
-
-def test_the_resolved_scene_is_read_back(tmp_path: Path) -> None:
-    scene = read(tmp_path, SCENE + COHESIVE)
-    values = scene.model_dump(mode="json")
-    again = read_resolved_laminate(values, scene.name)
-    assert again.model_dump(mode="json") == values and again.name == "plate"
-    with pytest.raises(SceneError, match=r"resolved scene: mesh\.around = 7"):
-        read_resolved_laminate({**values, "mesh": {**values["mesh"], "around": 7}})
 
 
 def test_only_files_with_the_table_are_laminates(tmp_path: Path) -> None:

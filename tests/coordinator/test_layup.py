@@ -39,6 +39,8 @@ def test_plies(text: str, angles: tuple[float, ...]) -> None:
         ("[0/90]0s", "repeats 0 times"),
         ("[0_99999]", "repeats 99999 times"),
         ("[[0/90]999/0]999s", "repeats 999 times"),
+        ("[0_10000]s", "has more plies than 10000"),
+        ("[" * 40 + "0" + "]s" * 40, "has more plies than 10000"),
     ],
 )
 def test_mistakes_are_named(text: str, problem: str) -> None:

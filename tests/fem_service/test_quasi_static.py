@@ -70,6 +70,19 @@ def test_an_unsymmetric_layup_bends_as_lamination_theory_says() -> None:
     assert abs(found[3]) < 0.005 * found[2]
 
 
+@pytest.mark.parametrize("degrees", [(0.0, 90.0), (30.0, -30.0), (30.0, 0.0, 60.0)])
+def test_a_laminate_that_twists_is_held_without_force(degrees: tuple[float, ...]) -> None:
+    """Two ends that stay straight and the motions of a rigid body are all that is held: corners feel nothing."""
+    mesh = stack(rectangle(8e-3, 4e-3, 4, 2), np.radians(degrees), 0.25e-3)
+    problem = QuasiStatic(mesh, ElasticMaterial(PLY), tension_grips(mesh), tolerance=1e-11)
+    found = problem.advance(problem.rest(), 8e-6)
+    inside = np.zeros((len(mesh.nodes), 3))
+    np.add.at(inside, mesh.bricks, problem.bricks.forces(found.stress).reshape(-1, 8, 3))
+    corners = problem.grips.freedoms[problem.grips.freedoms % 3 != 0]
+    assert len(corners) == 3
+    assert np.abs(inside.reshape(-1)[corners]).max() < 1e-9 * np.abs(inside).max()
+
+
 def test_stiff_layers_answer_as_plies_that_share_their_nodes() -> None:
     plane = open_hole(8e-3, 8e-3, 3.175e-3, around=6, radial=5, growth=3.0, quadrant=True)
     found = []
@@ -174,6 +187,8 @@ def test_wrong_arguments_are_named() -> None:
     grips = Grips(np.array([0]), np.array([0.0]))
     with pytest.raises(ValueError, match="law is missing"):
         QuasiStatic(mesh, ElasticMaterial(PLY), grips)
+    with pytest.raises(ValueError, match="iterations is 0"):
+        QuasiStatic(mesh, ElasticMaterial(PLY), grips, law=SOFT, iterations=0)
     with pytest.raises(ValueError, match="viscosity is -1"):
         QuasiStatic(mesh, ElasticMaterial(PLY), grips, law=SOFT, viscosity=-1.0)
     with pytest.raises(ValueError, match=r"weights has shape \(2, 2\)"):

@@ -75,12 +75,18 @@ class FailsAlthoughToldNotTo(LaminateService):
         return super().configure(request.model_copy(update={"damage": "elimination"}))
 
 
+class MovesInItsCheckpoint(LaminateService):
+    def checkpoint(self, request: Empty) -> CheckpointReply:
+        saved = super().checkpoint(request)
+        return saved.model_copy(update={"state": {**saved.state, "displacement": 0.9 * saved.state["displacement"]}})
+
+
 class ForgetsFailures(LaminateService):
     """A checkpoint without the state of the points."""
 
     def checkpoint(self, request: Empty) -> CheckpointReply:
         saved = super().checkpoint(request)
-        return saved.model_copy(update={"state": {**saved.state, "displacement": 0.9 * saved.state["displacement"]}})
+        return saved.model_copy(update={"state": {**saved.state, "failed": np.zeros_like(saved.state["failed"])}})
 
 
 class ForgetsTheSize(LaminateService):
@@ -127,7 +133,8 @@ BROKEN: list[tuple[str, type[LaminateService]]] = [
     ("cells: are asked", AsksNobody),
     ("advance: increments", LargerThanAsked),
     ("failure: is counted", FailsAlthoughToldNotTo),
-    ("checkpoint: going back", ForgetsFailures),
+    ("checkpoint: going back", MovesInItsCheckpoint),
+    ("failure: is counted", ForgetsFailures),
     ("checkpoint: going back", ForgetsTheSize),
     ("restore: a state", TakesAnyStep),
     ("fields: each named", RowsOfPoints),

@@ -1,6 +1,7 @@
 """A worker without a solver that ends when it is told: python mortal_worker.py --bind ENDPOINT --folder F --parent PID.
 
-`die` in the folder above ends it when it is asked to evaluate, as long as that file stands; `stillborn` when it starts.
+`die` in the folder above ends it when it is asked to evaluate, as long as that file stands; `die_once` ends the one
+worker that can take it away; `stillborn` ends it when it starts.
 Strains of which the first is negative always end it.
 """
 
@@ -49,8 +50,7 @@ class MortalWorker(Service):
         if request.cell not in self.cells:
             raise ProtocolError("unknown_cell", f"no cell {request.cell!r}", field="cell")
         points = len(request.strain)
-        flag = self.folder / "die"
-        if points and (request.strain[0, 0] < 0 or flag.exists()):
+        if points and (request.strain[0, 0] < 0 or (self.folder / "die").exists() or self._taken("die_once")):
             print("the end is near", flush=True)
             os._exit(7)
         if request.temperature == 77.0:
@@ -61,6 +61,13 @@ class MortalWorker(Service):
             stress=2.0 * request.strain, failed=np.zeros((points, 1), np.uint8), history=np.zeros((points, 0)),
             new_failures=0,
         )  # fmt: skip
+
+    def _taken(self, name: str) -> bool:
+        try:
+            (self.folder / name).unlink()
+        except FileNotFoundError:
+            return False
+        return True
 
 
 def main() -> None:

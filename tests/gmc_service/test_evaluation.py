@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -16,7 +17,7 @@ from gmc_service.evaluation import Answer, Evaluator
 from gmc_service.failed_cell import connected
 from gmc_service.gmc_dense import homogenise
 from gmc_service.mask_table import mask_bytes, pack_mask, unpack_mask
-from gmc_service.material import Failure, Material, constant_material, isotropic_stiffness
+from gmc_service.material import Failure, Material, Plasticity, constant_material, isotropic_stiffness
 
 NONE = np.zeros(1, dtype=np.uint8)
 
@@ -284,6 +285,19 @@ def test_bad_input_is_named(change: dict[str, object], message: str) -> None:
     assert not ask(evaluator, np.zeros((2, 6))).failed.any()
     with pytest.raises(ValueError, match="method is 'fem'"):
         Evaluator(two_by_two(), "fem")
+
+
+def test_a_bit_beyond_the_subcells_is_refused_by_every_kind_of_cell() -> None:
+    base = two_by_two()
+    energy = {"fracture_energy": 100.0}
+    for change in ({}, energy, {"plasticity": Plasticity(4e7)}):
+        matrix = dataclasses.replace(base.materials[1], **change)  # type: ignore[arg-type]
+        evaluator = Evaluator(dataclasses.replace(base, materials=(base.materials[0], matrix)))
+        failed, history = np.array([[16]], np.uint8), np.zeros((1, evaluator.history_values))
+        with pytest.raises(ValueError, match=r"failed\[0\] is \[16\]; bits beyond the 4 subcells must be 0"):
+            evaluator.evaluate(np.zeros((1, 6)), 300.0, failed, history, np.full(1, 1e-6))
+        with pytest.raises(ValueError, match=r"failed\[0\] is \[16\]; bits beyond the 4 subcells must be 0"):
+            evaluator.homogenised(300.0, failed[0])
 
 
 def test_a_material_without_allowables_never_fails() -> None:

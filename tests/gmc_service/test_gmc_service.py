@@ -187,6 +187,17 @@ def test_a_temperature_beyond_a_table_is_refused(client: Client) -> None:
     refused(client, "properties", too_cold, m.CellProperties, "bad_field", "temperature")
 
 
+def test_an_error_at_one_point_names_its_field(client: Client) -> None:
+    cell = square_fibre()
+    tough = cell.materials[1].model_copy(update={"fracture_energy": 1e-3})
+    name = client.call(
+        "register", cell.model_copy(update={"materials": [cell.materials[0], tough]}), m.CellRegistered
+    ).cell
+    too_long = query(name, 2).model_copy(update={"element_length": np.array([1e-12, 1.0])})
+    error = refused(client, "evaluate", too_long, m.Evaluated, "bad_field", "element_length")
+    assert error.report.sentence.startswith("element_length[1] is 1 m; the most is")
+
+
 def test_a_definition_is_the_cell_to_the_bit() -> None:
     plastic = Material(
         "all of it", np.array([250.0, 300.0]), np.stack([isotropic_stiffness(3e9, 0.3), isotropic_stiffness(2e9, 0.3)]),

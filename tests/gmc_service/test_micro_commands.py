@@ -88,6 +88,11 @@ def test_the_card_holds_the_constants_of_the_table(tmp_path: Path) -> None:
     assert "*EXPANSION, TYPE=ORTHO, ZERO=300.\n-4.724" in card.read_text()
 
 
+def test_a_card_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+    done = run("properties", CELLS / "example_1a.toml", "--card", tmp_path / "none" / "ply.inp")
+    assert done.exit_code == 1 and "No such file" in done.output and "Traceback" not in done.output
+
+
 def test_show_draws_the_cell(tmp_path: Path) -> None:
     picture = tmp_path / "cell.png"
     done = run("show", CELLS / "glass_epoxy_random.toml", "--out", picture)
@@ -107,6 +112,9 @@ def test_constituents_are_listed_with_their_sources() -> None:
 
 
 @pytest.mark.parametrize(
+    "command", [["properties"], ["fail", "--path", "eps11"], ["fields"]], ids=lambda words: words[0]
+)
+@pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (["--temperature", "300"], "the unit is missing"),
@@ -115,8 +123,8 @@ def test_constituents_are_listed_with_their_sources() -> None:
         (["--method", "voigt"], "'voigt' is not one of"),
     ],
 )
-def test_wrong_options_are_told(arguments: list[str], said: str) -> None:
-    done = run("properties", CELLS / "example_1a.toml", *arguments)
+def test_wrong_options_are_told(command: list[str], arguments: list[str], said: str) -> None:
+    done = run(*command, CELLS / "example_1a.toml", *arguments)
     assert done.exit_code == 2 and said in " ".join(done.output.split())
 
 

@@ -46,9 +46,7 @@ def test_a_worker_that_ends_is_replaced_and_told_the_cell(
     front.evaluate(query(20_000))  # both know the cell
     told = (tmp_path / "registered.txt").read_text().count("one")
     assert told == 2
-    flag = tmp_path / "die"
-    flag.touch()
-    threading.Timer(0.3, flag.unlink).start()
+    (tmp_path / "die_once").touch()
     with caplog.at_level(logging.INFO):
         assert front.evaluate(query(20_000)).stress.tobytes() == (2.0 * query(20_000).strain).tobytes()
         end = time.monotonic() + 20

@@ -6,7 +6,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from signal import SIGINT, SIGKILL
+from signal import SIGINT, SIGKILL, Signals
 
 import h5py
 import numpy as np
@@ -98,6 +98,18 @@ def wait_for_increment(run: RunProcess, increment: int) -> None:
     run.wait_until(reached, f"increment {increment}", SECONDS)
 
 
+def run_and_send(
+    start: StartsRuns, scene: Path, folder: Path, increment: int, process: str, signal: Signals, code: int
+) -> tuple[RunProcess, dict]:
+    """A run one process of which got a signal after an increment, and what its summary tells."""
+    run = start(scene, folder)
+    wait_for_increment(run, increment)
+    run.send(process, signal)
+    assert run.wait(SECONDS) == code, run.printed
+    assert run.survivors(10) == []
+    return run, summary(folder)
+
+
 def test_a_run_ends_with_results_summary_and_report(unbroken: Path) -> None:
     results = LaminateResults.read(unbroken / "results.h5")
     assert results.increments == INCREMENTS and results.series["load"][-1] == 1.0
@@ -126,17 +138,13 @@ def test_a_killed_structure_service_is_named_and_resume_gives_the_same_bits(
     start: StartsRuns, scene: Path, unbroken: Path, tmp_path: Path
 ) -> None:
     folder = tmp_path / "run"
-    run = start(scene, folder)
-    wait_for_increment(run, 4)
-    run.send("structure", SIGKILL)
-    assert run.wait(SECONDS) == 1, run.printed
-    assert run.survivors(10) == []
-    told = summary(folder)
+    run, told = run_and_send(start, scene, folder, 4, "structure", SIGKILL, 1)
     assert told["status"] == "failed"
     assert (
         f"failed after increment {told['steps']}: the structure service (fem_service) was killed by signal SIGKILL"
         in (run.printed)
     )
+    assert f"results up to increment {told['steps']} are in {folder}; go on with: " in run.printed
     assert "--resume" in run.printed and 3 <= told["steps"] < INCREMENTS
     assert "not finished" not in (folder / "report.html").read_text()
     again = start(scene, folder, "--resume")
@@ -168,12 +176,7 @@ def test_ctrl_c_keeps_what_was_made_and_resume_ends_it(
     start: StartsRuns, scene: Path, unbroken: Path, tmp_path: Path
 ) -> None:
     folder = tmp_path / "run"
-    run = start(scene, folder)
-    wait_for_increment(run, 3)
-    run.send("coordinator", SIGINT)
-    assert run.wait(SECONDS) == 130, run.printed
-    assert run.survivors(10) == []
-    told = summary(folder)
+    _, told = run_and_send(start, scene, folder, 3, "coordinator", SIGINT, 130)
     assert told["status"] == "interrupted" and "--resume" in told["reason"]
     assert 2 <= told["steps"] < INCREMENTS
     changed = start(scene, folder, "--resume", "--set", "load.final_strain=0.02")
