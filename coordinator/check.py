@@ -37,6 +37,12 @@ def describe(scene: Scene) -> str:
     total += seconds
     lines += _continuum(scene, continuum.name)
     lines.append(f"             {points} material points, step {_time(step)}, about {_duration(seconds)}")
+    if scene.micromechanics is not None:
+        backend = find("micromechanics", scene.micromechanics.backend)
+        lines.append(
+            f"micromechanics  {backend.name}: {scene.micromechanics.cell} in every ply of every point, at each step"
+            " where it may fail; its time is not in the estimate"
+        )
     if scene.atomistic is None or scene.handshake is None:
         lines.append("atomistic    not started: the scene has no [atomistic]")
     else:
@@ -63,7 +69,7 @@ def describe(scene: Scene) -> str:
 def _critical(scene: Scene) -> str:
     """Return what Eq 1 says of the crack, where material and toughness are known before the run."""
     given = scene.continuum.material
-    if given is None or given.law == "orthotropic":
+    if given is None or given.law in ("orthotropic", "laminate"):
         return ""
     material: c.Material = TypeAdapter(c.Material).validate_python(given.constants())
     elastic = elastic_constants(material)
@@ -95,6 +101,8 @@ def _courant(scene: Scene) -> str:
     given = scene.continuum.material
     if given is None:
         return "Courant number known once the material is measured"
+    if given.law == "laminate":
+        return "Courant number known once the cell has answered"
     material: c.Material = TypeAdapter(c.Material).validate_python(given.constants())
     number = wave_speed(material, scene.continuum.assumption) * scene.time_step / levels(scene)[-1][0]
     return f"Courant number {number:.3g}"

@@ -138,6 +138,7 @@ def check(scene: Path, overrides: tuple[str, ...]) -> None:
 @click.option("--workers", type=click.IntRange(1), help="Processes that share each query (micromechanics).")
 @click.option("--executor", metavar="dask://HOST:PORT", help="Cluster that shares each query (micromechanics).")
 @click.option("--keys", type=DIRECTORY, help="Folder with keys; turns CURVE on.")
+@click.option("--link-keys", type=DIRECTORY, help="Folder with keys for services that this one asks. Default: --keys.")
 @click.option("--insecure-public", is_flag=True, help="Bind an address beyond this machine without keys.")
 @click.option("--max-message-bytes", type=click.IntRange(1 << 12), default=1 << 30, show_default=True)
 @click.option("--folder", type=DIRECTORY, default=Path("."), help="Working folder of the service.")
@@ -150,6 +151,7 @@ def serve(
     workers: int | None,
     executor: str | None,
     keys: Path | None,
+    link_keys: Path | None,
     insecure_public: bool,
     max_message_bytes: int,
     folder: Path,
@@ -159,7 +161,7 @@ def serve(
     from coordinator.serve import serve_role
 
     serve_role(
-        role, backend, endpoint, ranks=ranks, keys=keys, insecure_public=insecure_public,
+        role, backend, endpoint, ranks=ranks, keys=keys, link_keys=link_keys, insecure_public=insecure_public,
         max_message_bytes=max_message_bytes, folder=folder, parent=parent, workers=workers, executor=executor,
     )  # fmt: skip
 
@@ -208,6 +210,18 @@ def report(folder: Path) -> None:
     else:
         from coordinator.report import make_report as make
     click.echo(make(folder))
+
+
+@cli.command()
+@click.argument("scene", type=EXISTING_FILE)
+@click.option("--inp", "file", type=NEW_FILE, required=True, help="Deck of CalculiX and Abaqus to write.")
+@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change a value of the scene.")
+def export(scene: Path, file: Path, overrides: tuple[str, ...]) -> None:
+    """Write the mesh, plies, elastic constants and grips of a laminate scene for other codes."""
+    from coordinator.laminate_export import export_laminate
+
+    for note in export_laminate(scene, file, overrides):
+        click.echo(note)
 
 
 @cli.command()

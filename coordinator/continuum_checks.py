@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
 from coordinator.continuum_tables import EDGE_KINDS, LAWS
+from coordinator.layup import read_layup
 from coordinator.table import Point
 from coordinator.units import LENGTHS, readable
 
@@ -31,6 +33,7 @@ def continuum_checks(continuum: Any, tables: set[str]) -> list[Problem]:
     if continuum.body_force is not None:
         where = ("continuum", "body_force")
         found += _table(where, continuum.body_force.times, "factors", continuum.body_force.factors)
+    found += _holes(continuum)
     found += _refinement(continuum)
     found += _cracks(continuum)
     return found
@@ -107,7 +110,18 @@ def _material(material: Any, tables: set[str]) -> Iterator[Problem]:
     where = ("continuum", "material")
     needed, possible = LAWS[material.law]
     every = {name for pair in LAWS.values() for names in pair for name in names}
-    yield from _named(where, "law", material.law, needed, every - {*needed, *possible}, _keys(where, tables))
+    present = _keys(where, tables)
+    yield from _named(where, "law", material.law, needed, every - {*needed, *possible}, present)
+    laminate = material.law == "laminate"
+    if laminate and "thickness" in present:
+        yield (*where, "thickness"), 'must be left out with law = "laminate": it is that of all plies'
+    if not laminate and "thickness" not in present:
+        yield (*where, "thickness"), 'is missing; needed: a length with its unit, such as "52 angstrom"'
+    if laminate and material.layup is not None:
+        try:
+            read_layup(material.layup)
+        except ValueError as error:
+            yield (*where, "layup"), str(error)
 
 
 def _table(where: tuple[str | int, ...], times: Any, name: str, values: Any) -> Iterator[Problem]:
@@ -196,6 +210,24 @@ def _has_first_velocity(edge: Any) -> bool:
         and len(edge.times) == len(edge.displacements)
         and bool(edge.times[1] > edge.times[0])
     )
+
+
+def _holes(continuum: Any) -> Iterator[Problem]:
+    """Each hole reaches into the body and does not meet another."""
+    lower, upper = continuum.lower, continuum.upper
+    found: list[tuple[Point, float]] = []
+    for index, hole in enumerate(continuum.holes or []):
+        where = ("continuum", "holes", index)
+        if not known(lower, upper, hole.centre, hole.diameter):
+            continue
+        radius = 0.5 * hole.diameter
+        beyond = [max(lower[k] - hole.centre[k], hole.centre[k] - upper[k], 0.0) for k in (0, 1)]
+        if math.hypot(*beyond) >= radius:
+            yield (*where, "centre"), "lies so far outside the body that the hole does not reach it"
+        for other, (centre, size) in enumerate(found):
+            if math.dist(centre, hole.centre) < radius + size:
+                yield where, f"meets continuum.holes.{other}; holes must share no area"
+        found.append((hole.centre, radius))
 
 
 def _refinement(continuum: Any) -> Iterator[Problem]:

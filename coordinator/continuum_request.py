@@ -18,7 +18,10 @@ from protocol.atomistic import Properties
 
 
 def material_of(scene: Scene, measured: Properties | None) -> c.Material:
-    """Return the material of the continuum: the scene's, or the constants measured for the potential."""
+    """Return the material of the continuum: the scene's, or the constants measured for the potential.
+
+    A laminate is another's: `coordinator.laminate_material`.
+    """
     given = scene.continuum.material
     if given is not None:
         material: c.Material = TypeAdapter(c.Material).validate_python(given.constants())
@@ -31,14 +34,14 @@ def material_of(scene: Scene, measured: Properties | None) -> c.Material:
 def thickness_of(scene: Scene, measured: Properties | None) -> float:
     """Return the thickness of the continuum, m: the scene's, or that of the layers of the sample."""
     if scene.continuum.material is not None:
-        return scene.continuum.material.thickness
+        return scene.continuum.material.whole_thickness
     assert measured is not None and scene.atomistic is not None  # held by the scene's checks
     return measured.thickness * scene.atomistic.layers
 
 
 def elastic_constants(material: c.Material) -> c.IsotropicMaterial | None:
     """Return the constants at small strain; None where one modulus and one ratio do not tell them."""
-    if isinstance(material, c.OrthotropicMaterial):
+    if isinstance(material, c.OrthotropicMaterial | c.LaminateMaterial):
         return None
     return c.IsotropicMaterial(young=material.young, poisson=material.poisson, density=material.density)
 
@@ -77,6 +80,7 @@ def continuum_request(
         cell_size=table.cell_size,
         refinement=[c.Rectangle(lower=level.lower, upper=level.upper) for level in table.refinement],
         points_per_cell=table.points_per_cell,
+        holes=[c.Hole(centre=hole.centre, radius=0.5 * hole.diameter) for hole in table.holes],
         scheme=c.Scheme.model_validate(_plain(table.scheme)),
         material=material,
         overlap=plain,

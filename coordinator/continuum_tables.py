@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from coordinator.layup import read_layup
 from coordinator.table import Count, Name, Number, Table
 from coordinator.units import (
     Acceleration,
@@ -32,6 +33,7 @@ LAWS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     ),
     "neo_hookean": (("young", "poisson"), ()),
     "j2_plasticity": (("young", "poisson", "yield_stress"), ("hardening", "saturation", "saturation_rate")),
+    "laminate": (("layup", "ply_thickness"), ()),
 }  # fmt: skip
 #: Fields of [[continuum.edges]] that a kind needs.
 EDGE_KINDS: dict[str, tuple[str, ...]] = {
@@ -49,9 +51,9 @@ Poisson = Annotated[float, Field(strict=True, gt=-1, lt=0.5)]
 class Material(Table):
     """A material law and its constants; which of them it needs is in `LAWS`."""
 
-    law: Literal["isotropic", "orthotropic", "neo_hookean", "j2_plasticity"] = "isotropic"
+    law: Literal["isotropic", "orthotropic", "neo_hookean", "j2_plasticity", "laminate"] = "isotropic"
     density: PositiveDensity = Field(description="kg/m3")
-    thickness: PositiveLength = Field(description="m")
+    thickness: PositiveLength | None = Field(default=None, description="m; of a laminate that of all its plies")
     young: PositivePressure | None = Field(default=None, description="Young's modulus, Pa")
     poisson: Poisson | None = Field(default=None, description="Poisson's ratio")
     young_1: PositivePressure | None = Field(default=None, description="Young's modulus along axis 1, Pa")
@@ -69,8 +71,20 @@ class Material(Table):
         default=None, description="rate of saturation with plastic strain"
     )
 
+    layup: Name | None = Field(default=None, description="plies from the lowest up, such as [45/0/-45/90]2s")
+    ply_thickness: PositiveLength | None = Field(default=None, description="of each ply, m")
+
+    @property
+    def whole_thickness(self) -> float:
+        """Thickness of the body, m."""
+        if self.law == "laminate":
+            assert self.layup is not None and self.ply_thickness is not None  # held by the cross-field checks
+            return len(read_layup(self.layup).angles) * self.ply_thickness
+        assert self.thickness is not None  # likewise
+        return self.thickness
+
     def constants(self) -> dict[str, Any]:
-        """Return the constants of the law that are given, SI, by name."""
+        """Return the constants of the law that are given, SI, by name; a laminate has its constants elsewhere."""
         needed, possible = LAWS[self.law]
         given = {name: getattr(self, name) for name in (*needed, *possible) if getattr(self, name) is not None}
         return {"law": self.law, "density": self.density, **given}
@@ -158,6 +172,13 @@ class Scheme(Table):
     period: Count = Field(default=1, description="steps between two filtered transfers, flip in the others")
 
 
+class Hole(Table):
+    """A round hole in the body, which it may reach beyond."""
+
+    centre: tuple[Length, Length] = Field(description="x and y, m")
+    diameter: PositiveLength = Field(description="m")
+
+
 class Refinement(Table):
     """A rectangle in which cells are half as large as around it."""
 
@@ -228,12 +249,20 @@ class Continuum(Table):
         default="isotropic", description="law that the measured constants go into"
     )
     scheme: Scheme = Field(default_factory=Scheme, description="absent: the defaults of each key")
+    holes: list[Hole] = Field(default=[], description="where the body has no material")
     edges: list[Edge] = Field(default=[], description="what is prescribed on edges")
     body_force: BodyForce | None = Field(default=None, description="absent: none")
     preload: Preload | None = Field(default=None, description="absent: the run starts unrelaxed")
     initial_field: KField | None = Field(default=None, description="absent: the body starts undeformed")
     refinement: list[Refinement] = Field(default=[], description="finer levels, each inside the one before")
     cracks: list[CrackLine] = Field(default=[], description="cracks of the continuum beside [crack]")
+
+    @property
+    def pull_axis(self) -> int | None:
+        """Axis along which two edges that move pull the body apart, y first; None where no two do."""
+        moved = {(edge.edge, edge.axis) for edge in self.edges if edge.moves and edge.kind != "k_field"}
+        pairs = {1: {("top", 1), ("bottom", 1)}, 0: {("right", 0), ("left", 0)}}
+        return next((axis for axis, pair in pairs.items() if pair <= moved), None)
 
     def initial_velocity_gradient(self) -> tuple[float, float, float, float] | None:
         """Velocity gradient (xx, xy, yx, yy), 1/s, that starts the body with its edges; None from rest."""

@@ -23,6 +23,7 @@ from coordinator.crack_passage import CrackPassage
 from coordinator.critical_length import CriticalLength, of_scene
 from coordinator.exchange import Exchange
 from coordinator.exchange_length import choose_steps_per_exchange
+from coordinator.laminate_material import failed_by_ply
 from coordinator.region import Region
 from coordinator.relay import Leg
 from coordinator.scene import Scene
@@ -81,6 +82,8 @@ class Coupling:
         M as it was chosen before (likewise).
     tell : callable, optional
         Told in words what is being prepared.
+    laminate : LaminateMaterial, optional
+        Material of a scene with that law.
 
     Attributes
     ----------
@@ -97,6 +100,7 @@ class Coupling:
         properties: a.Properties | None = None,
         steps_per_exchange: int | None = None,
         tell: Callable[[str], None] = lambda _: None,
+        laminate: c.LaminateMaterial | None = None,
     ) -> None:
         self.scene = scene if steps_per_exchange is None else scene.with_steps_per_exchange(steps_per_exchange)
         self.step = 0
@@ -108,6 +112,7 @@ class Coupling:
         self.critical: CriticalLength | None = None
         self._continuum = continuum
         self._tell = tell
+        self._laminate = laminate
         self._books = Books()
         self._passages: list[CrackPassage] = []
         self._start_energy: FloatArray | None = None
@@ -144,7 +149,7 @@ class Coupling:
     @property
     def material(self) -> c.Material:
         """Material of the continuum: the scene's, or the constants measured for the potential."""
-        return material_of(self.scene, self.properties)
+        return self._laminate or material_of(self.scene, self.properties)
 
     @property
     def thickness(self) -> float:
@@ -316,7 +321,13 @@ class Coupling:
     def point_fields(self) -> dict[str, np.ndarray]:
         """Return fields of the material points."""
         names = ["position", "displacement", "velocity", "stress", "weight"]
+        if self._laminate is not None:
+            names.append("failed")
         return self._continuum.call("fields", FieldsRequest(names=names), FieldsReply).fields
+
+    def failed_by_ply(self, fields: dict[str, np.ndarray]) -> dict[str, FloatArray]:
+        """Return what has failed of `point_fields`, by the words for plies and material; nothing without a laminate."""
+        return {} if self._laminate is None else failed_by_ply(self._laminate, fields["failed"])
 
     def atom_positions(self) -> FloatArray | None:
         """Return places of all atoms, region by region, shape (atoms, 3), m; None for a scene without."""

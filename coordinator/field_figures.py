@@ -75,7 +75,7 @@ def scene_pictures(results: Results, scene: Scene) -> list[Picture]:
         return []
     points = results.points.frame(0)
     atoms = results.atoms.position(0) if results.atoms is not None and len(results.atoms) else None
-    body = _body_window(scene)
+    body = body_window(scene)
     found = [_scene_picture(results, scene, points, atoms, body, "The whole body", False)]
     overlap = results.interface.get("outer")
     if overlap is not None:
@@ -102,7 +102,7 @@ def _scene_picture(
     flat = points.position[:, :2] / unit
     seen = _inside(flat, window)
     shared = points.weight < 1.0
-    spacing = _spacing(scene, points) / unit
+    spacing = spacing_of(scene, points) / unit
     size = ((0.42 if close else 1.3) * spacing * scale) ** 2  # apart from each other, or as an area
     for part, colour, label in ((~shared, POINT, "material point"), (shared, SHARED, "material point, shared")):
         chosen = seen & part
@@ -181,14 +181,14 @@ def _atoms(axes: Axes, results: Results, flat: FloatArray, window: Window, scale
 
 
 def stress_pictures(results: Results, scene: Scene, most: int = 3) -> list[Picture]:
-    """Draw stress along y on the material points, atoms over it, at several times around the atoms."""
+    """Draw stress along the pull on the material points, atoms over it, at several times around the atoms."""
     points, atoms = results.points, results.atoms
     if points is None or len(points) < 2:
         return []
     frames = _chosen(len(points), most)
-    limit = _limits(points.frame(frames[-1]).stress[:, 1] / units_of(scene).stress[0])
+    limit = _limits(points.frame(frames[-1]).stress[:, _stress_axis(scene)] / units_of(scene).stress[0])
     found = []
-    whole = _body_window(scene)
+    whole = body_window(scene)
     around = whole
     if results.rings:
         outer = np.concatenate([borders["outer"] for borders in results.rings.values()]) / ANGSTROM
@@ -219,11 +219,12 @@ def _stress_picture(
     unit, name = units.length
     figure, axes, side, scale = map_axes(*window, bar=True, unit=name)
     flat = data.position[:, :2] / unit
-    spacing = _spacing(scene, data) / unit
+    spacing = spacing_of(scene, data) / unit
     seen = _inside(flat, window, margin=spacing)
+    axis = _stress_axis(scene)
     drawn = axes.scatter(
-        flat[seen, 0], flat[seen, 1], c=data.stress[seen, 1] / units.stress[0], s=(1.04 * spacing[seen] * scale) ** 2,
-        marker="s", linewidths=0, vmin=limit[0], vmax=limit[1], cmap=limit[2],
+        flat[seen, 0], flat[seen, 1], c=data.stress[seen, axis] / units.stress[0],
+        s=(1.04 * spacing[seen] * scale) ** 2, marker="s", linewidths=0, vmin=limit[0], vmax=limit[1], cmap=limit[2],
     )  # fmt: skip
     if atoms is not None:
         place = atoms[:, :2] / ANGSTROM
@@ -232,12 +233,18 @@ def _stress_picture(
             place[chosen, 0], place[chosen, 1], s=max(0.3, (0.55 * scale) ** 2), color=INK, linewidths=0, zorder=3
         )
     assert side is not None
-    figure.colorbar(drawn, cax=side, extend="both").set_label(f"σ$_{{yy}}$ ({units.stress[1]})")
+    letter = "xy"[axis]
+    figure.colorbar(drawn, cax=side, extend="both").set_label(f"σ$_{{{2 * letter}}}$ ({units.stress[1]})")
     time = f"{data.time / units.time[0]:.3g} {units.time[1]}"
     caption = f"Step {data.step}, {time}. " + (
         "Dots are atoms; stress is drawn on material points only." if atoms is not None else "True displacements."
     )
-    return picture(figure, f"Stress along y, {where}, {time}", caption, raster=True)
+    return picture(figure, f"Stress along {letter}, {where}, {time}", caption, raster=True)
+
+
+def _stress_axis(scene: Scene) -> int:
+    """Axis of the stress that is drawn: that of the pull, else y."""
+    return 1 if scene.continuum.pull_axis is None else scene.continuum.pull_axis
 
 
 def crack_pictures(results: Results, scene: Scene, most: int = 4) -> list[Picture]:
@@ -295,7 +302,7 @@ def strain_pictures(results: Results, scene: Scene) -> list[Picture]:
     middle = 100 * (applied if applied is not None else float(np.median(continuum.yy)))
     errors = np.concatenate([100 * part.yy - middle for _, part, _, _ in parts])
     spread = max(float(np.percentile(np.abs(errors), 98)), 0.02 * abs(middle), 1e-6)
-    figure, axes, side, scale = map_axes(*_body_window(scene), bar=True)
+    figure, axes, side, scale = map_axes(*body_window(scene), bar=True)
     for _, part, size, _ in parts:
         drawn = axes.scatter(
             part.centre[:, 0] / ANGSTROM, part.centre[:, 1] / ANGSTROM, c=100 * part.yy, marker="s", linewidths=0,
@@ -354,7 +361,7 @@ def _limits(values: FloatArray) -> tuple[float, float, str]:
     return -top, top, "RdBu_r"
 
 
-def _body_window(scene: Scene) -> Window:
+def body_window(scene: Scene) -> Window:
     unit, _ = units_of(scene).length
     low, high = np.array(scene.continuum.lower) / unit, np.array(scene.continuum.upper) / unit
     margin = 0.05 * (high - low).max()
@@ -362,7 +369,7 @@ def _body_window(scene: Scene) -> Window:
     return x, y
 
 
-def _spacing(scene: Scene, points: PointsFrame) -> FloatArray:
+def spacing_of(scene: Scene, points: PointsFrame) -> FloatArray:
     """Return the distance of each point from its neighbours at the start, m, shape (points,)."""
     place = (points.position - points.displacement)[:, :2]
     level = np.zeros(len(place))

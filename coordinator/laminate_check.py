@@ -36,12 +36,15 @@ def describe_laminate(scene: LaminateScene) -> str:
         name for name, used in (("x = 0 and y = 0", scene.quarter), ("the middle plane", scene.lower_half)) if used
     ]
     hole = "" if plate.hole_diameter is None else f", hole {readable(plate.hole_diameter, LENGTHS)}"
+    if plate.notch_diameter is not None:
+        hole = f", notches {readable(plate.notch_diameter, LENGTHS)}"
     lines = [
         scene.title or scene.name,
         f"plate      {readable(plate.length, LENGTHS)} x {readable(plate.width, LENGTHS)}{hole}",
         f"plies      {plate.layup}: {len(scene.layup.angles)} of {readable(plate.ply_thickness, LENGTHS)}, "
         f"{plies} modelled",
         f"symmetry   {' and '.join(symmetry) or 'none used'}",
+        *([] if scene.plane is None else [f"mesh       {scene.mesh.file}"]),
         f"elements   {bricks} bricks, {points} points"
         + (", cohesive layers between plies of different angle" if scene.cohesive else ", plies are tied"),
         f"cell       {cell.phase.shape[0]} x {cell.phase.shape[1]} subcells of "
@@ -57,7 +60,9 @@ def describe_laminate(scene: LaminateScene) -> str:
 def plane_elements(scene: LaminateScene) -> int:
     """Elements in the plane of the part that is modelled."""
     mesh = scene.mesh
-    if scene.laminate.hole_diameter is None:
+    if scene.plane is not None:
+        return len(scene.plane.elements)
+    if scene.laminate.hole_diameter is None and scene.laminate.notch_diameter is None:
         return (mesh.columns or 0) * (mesh.rows or 0)
     quarter = (mesh.around or 0) * (mesh.radial or 0) + (mesh.around or 0) // 2 * mesh.beyond
     return quarter if scene.quarter else 4 * quarter

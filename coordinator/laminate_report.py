@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,6 +16,7 @@ from coordinator.figures import BLUE, GREEN, INK, ORANGE, PALE, PURPLE, RED, SKY
 from coordinator.laminate_results import Frame, LaminateResults
 from coordinator.report_page import page
 from coordinator.summary import Summary
+from coordinator.watched_places import WatchedPlaces
 from protocol.arrays import FloatArray
 
 _COLOURS = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY)
@@ -61,6 +64,7 @@ def _report(results: LaminateResults, summary: Summary | None) -> str:
                 "Stress is the force over the cross section without the hole.",
                 [_curve(results), _failures(results), *_layers(results)],
             ),
+            *_microstructure(results),
             ("Plies", "", _maps(results)),
             ("Work", "", [_times(results)]),
         ]
@@ -95,6 +99,8 @@ _NUMBERS = {
     "initial_stiffness": ("Stiffness at the start, hole included", 1e9, "GPa"),
     "failed_points": ("Subcells that failed, of all points", 1.0, ""),
     "queries_spared": ("Points answered without a query, exact", 0.01, "%"),
+    "work": ("Work of the ends", 1.0, "J"),
+    "viscous_share": ("Of that taken by the viscosity of cohesive layers", 0.01, "%"),
     "residual_max": ("Largest force out of balance", 1.0, "relative"),
 }
 
@@ -126,11 +132,13 @@ def _curve(results: LaminateResults) -> Picture:
     figure, axes = _figure(3.4)
     axes.plot(np.r_[0, strain], np.r_[0, stress], color=BLUE, marker="o", markersize=2.5)
     peak = int(np.argmax(stress))
+    late = strain[peak] > 0.75 * strain.max()
     axes.annotate(
         f"{stress[peak]:.4g} MPa",
         (strain[peak], stress[peak]),
         textcoords="offset points",
-        xytext=(6, 4),
+        xytext=(-6 if late else 6, 4),
+        ha="right" if late else "left",
         color=INK,
     )
     for place, (event, colour) in enumerate(zip(results.events[:4], _COLOURS[1:], strict=False)):
@@ -138,11 +146,69 @@ def _curve(results: LaminateResults) -> Picture:
         axes.axvline(100 * event["strain"], color=colour, linewidth=1.0, linestyle=(4 * place, (4, 12)),
                      label=f"{event['material']}, ply {event['ply'] + 1}")  # fmt: skip
     if results.events:
-        axes.legend(title="first failure of", loc="lower right", handlelength=4.0)
+        axes.legend(title="first failure of", loc="lower center", handlelength=4.0)
     axes.set_xlabel("elongation over length (%)")
     axes.set_ylabel("mean stress (MPa)")
     axes.set_ylim(bottom=0.0, top=1.15 * max(float(stress.max()), 1e-12))
-    return picture(figure, "Mean stress against elongation", "One point an increment.")
+    length, section = results.scene["resolved"]["laminate"]["length"], results.section
+    load = axes.secondary_yaxis("right", functions=_scaled(1e3 * section))
+    load.set_ylabel("load (kN)")
+    way = axes.secondary_xaxis("top", functions=_scaled(10.0 * length))
+    way.set_xlabel("displacement of the ends (mm)")
+    return picture(
+        figure,
+        "Average traction against strain, load against displacement",
+        "One point an increment. Displacement is that of one end against the other.",
+    )
+
+
+def _scaled(size: float) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
+    """A scale and the way back."""
+    return (lambda values: size * values), (lambda values: values / size)
+
+
+def _microstructure(results: LaminateResults) -> list[tuple[str, str, list[Picture]]]:
+    if results.watched is None or not results.watched.strain:
+        return []
+    text = "Stress along the pull of the whole cell and of its subcells, mean of the points of a brick."
+    return [
+        ("Microstructure", text, [_subcells(results, results.watched, k) for k in range(len(results.watched.bricks))])
+    ]
+
+
+def _subcells(results: LaminateResults, watched: WatchedPlaces, place: int) -> Picture:
+    strain = np.r_[0.0, 100 * watched.strain_along_pull(place)]
+    macro, subcells = watched.stress_along_pull(place)
+    macro = np.r_[0.0, macro / 1e6]
+    figure, axes = _figure(3.2)
+    for number, (material, colour) in enumerate(zip(results.materials, _COLOURS[1:], strict=False)):
+        own = watched.materials == number
+        if not own.any():
+            continue
+        values = np.vstack([np.zeros(own.sum()), subcells[:, own] / 1e6])
+        mean = values @ watched.shares[own] / watched.shares[own].sum()
+        axes.plot(strain, mean, color=colour, marker="o", markersize=2.0, label=f"{material}, mean")
+        if own.sum() > 1:
+            axes.plot(strain, values.max(axis=1), color=colour, linewidth=0.7, label=f"{material}, greatest and least")
+            axes.plot(strain, values.min(axis=1), color=colour, linewidth=0.7)
+    axes.plot(strain, macro, color=BLUE, linewidth=2.2, marker="o", markersize=2.5, label="whole cell")
+    # What has failed is drawn out without end: the axis ends where little is left to see.
+    borne = np.flatnonzero(np.abs(macro) >= 0.1 * np.abs(macro).max())
+    end = 1.25 * float(strain[: borne[-1] + 2].max()) if len(borne) else 0.0
+    cut = 0.0 < end < strain.max()
+    if cut:
+        axes.set_xlim(-0.04 * end, end)
+    axes.legend()
+    axes.set_xlabel("strain along the pull (%)")
+    axes.set_ylabel("stress along the pull (MPa)")
+    x, y, _ = 1e3 * watched.centres[place]
+    ply = watched.plies[place] + 1
+    return picture(
+        figure,
+        f"Ply {ply} ({watched.angles[place]:g}°) at x = {x:.3g} mm, y = {y:.3g} mm",
+        f"Brick {watched.bricks[place]}; one point an increment."
+        + (f" It goes on to {strain.max():.3g} %, with next to no stress." if cut else ""),
+    )
 
 
 def _failures(results: LaminateResults) -> Picture:
@@ -227,7 +293,7 @@ def _map(
     columns = 1 if extent[0] > 2.0 * extent[1] or len(plies) == 1 else 2
     rows = -(-len(plies) // columns)
     low, high = limits if limits is not None else (0.0, float(values.max()) or 1.0)
-    height = rows * (WIDTH / columns * 0.86 * extent[1] / extent[0] + 0.42) + 0.85
+    height = rows * (WIDTH / columns * 0.86 * extent[1] / extent[0] + 0.6) + 0.85
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
     found = figure.subplots(rows, columns)
     places = np.atleast_1d(np.asarray(found, dtype=object)).reshape(-1)
@@ -259,6 +325,7 @@ def _ply(
     axes.grid(False)
     axes.set_title(f"ply {ply + 1} ({results.angles[ply]:g}°)")
     axes.set_xlabel("x (mm)")
+    axes.set_ylabel("y (mm)")
     return image
 
 

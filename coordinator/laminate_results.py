@@ -3,6 +3,7 @@
 ===================  =====================================================================
 ``/VTKHDF``          bricks with their fields at some increments, VTKHDF (SI); tensors as xx, yy, zz, xy, yz, xz
 ``/series``          one array a quantity, one entry an increment, SI, with attribute `unit`
+``/watched``         strain, stress and stress of each subcell in the bricks that are watched; absent: none are
 ``/new_failures``    subcells that failed in each increment, by ply and material
 ``/events``          failure sequence, one JSON object an event
 ``/scene``           text, overrides, resolved values as JSON (SI), as attributes
@@ -24,6 +25,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from coordinator.watched_places import WatchedPlaces
 from protocol.arrays import FloatArray, IntArray
 
 #: Quantities of an increment, with their unit and meaning.
@@ -35,6 +37,8 @@ SERIES: dict[str, tuple[str, str]] = {
     "iterations": ("1", "solutions of the increment"),
     "halved": ("1", "tries that found no equilibrium"),
     "residual": ("1", "force out of balance over the largest force"),
+    "work": ("J", "of the ends so far"),
+    "viscous_energy": ("J", "that the viscosity of cohesive layers has taken so far"),
     "queried": ("1", "points of which the microstructure was asked"),
     "spared": ("1", "points that could not fail and were answered elastically"),
     "seconds_assembly": ("s", "spent on element matrices"),
@@ -101,6 +105,7 @@ class LaminateResults:
     new_failures : list of int64 array, shape (plies, materials)
     layer_damage : list of float64 array, shape (interfaces,)
     frames : list of Frame
+    watched : WatchedPlaces or None
     events : list of dict
     versions : dict of str to str
     """
@@ -116,6 +121,7 @@ class LaminateResults:
     new_failures: list[IntArray] = field(default_factory=list)
     layer_damage: list[FloatArray] = field(default_factory=list)
     frames: list[Frame] = field(default_factory=list)
+    watched: WatchedPlaces | None = None
     events: list[dict[str, Any]] = field(default_factory=list)
     versions: dict[str, str] = field(default_factory=dict)
 
@@ -129,6 +135,8 @@ class LaminateResults:
         for values in self.series.values():
             del values[increments:]
         del self.new_failures[increments:], self.layer_damage[increments:]
+        if self.watched is not None:
+            self.watched.cut(increments)
         self.frames = [frame for frame in self.frames if frame.step <= increments]
         self.events = [event for event in self.events if event["step"] <= increments]
 
@@ -143,6 +151,8 @@ class LaminateResults:
             plies = len(self.angles)
             file["new_failures"] = np.array(self.new_failures, dtype=np.int64).reshape(-1, plies, len(self.materials))
             file["layer_damage"] = np.stack(self.layer_damage) if self.layer_damage else np.zeros((0, 0))
+            if self.watched is not None:
+                self.watched.write(file.create_group("watched"))
             file["events"] = [json.dumps(event) for event in self.events] or np.zeros(0, dtype="S1")
             scene = file.create_group("scene")
             for name, value in self.scene.items():
@@ -180,6 +190,7 @@ class LaminateResults:
                     series={name: file["series"][name][:].tolist() for name in SERIES},
                     new_failures=list(file["new_failures"][:]),
                     layer_damage=list(file["layer_damage"][:]),
+                    watched=WatchedPlaces.read(file["watched"]) if "watched" in file else None,
                     events=[json.loads(event) for event in file["events"][:]],
                     versions={name: str(value) for name, value in file["versions"].attrs.items()},
                 )

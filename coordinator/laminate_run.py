@@ -15,8 +15,9 @@ from rich.console import Console
 from coordinator.checkpoint import CheckpointError, read_checkpoint, write_checkpoint
 from coordinator.interruption import Interrupted, Interruption
 from coordinator.laminate_report import make_laminate_report
+from coordinator.laminate_request import configure_request
 from coordinator.laminate_results import SERIES, Frame, LaminateResults
-from coordinator.laminate_scene import LaminateScene, load_laminate, radians
+from coordinator.laminate_scene import LaminateScene, load_laminate
 from coordinator.launcher import Services
 from coordinator.output import versions
 from coordinator.run import (
@@ -30,6 +31,7 @@ from coordinator.run import (
     set_aside,
 )
 from coordinator.summary import Summary, WallTime
+from coordinator.watched_places import WatchedPlaces
 from protocol import structure as s
 from protocol.backend import find
 from protocol.client import Client, Timing
@@ -40,6 +42,7 @@ FIELDS = ["displacement", "stress", "failed"]
 _UNITS = {
     "peak_stress": "Pa", "strain_at_peak": "1", "first_failure_strain": "1", "first_failure_stress": "Pa",
     "initial_stiffness": "Pa", "failed_points": "1", "queries_spared": "1", "residual_max": "1",
+    "work": "J", "viscous_share": "1",
 }  # fmt: skip
 
 
@@ -184,7 +187,8 @@ class LaminateRun:
             progress.reset(task, description=f"{configured.unknowns} unknowns", total=1.0)
             progress.update(task, completed=load)
             while not self._is_over(load):
-                made = structure.call("advance", s.StructureAdvance(), s.StructureAdvanced, step=results.increments)
+                asked = s.StructureAdvance(watched=results.watched.bricks.tolist() if results.watched else [])
+                made = structure.call("advance", asked, s.StructureAdvanced, step=results.increments)
                 load = made.load
                 self._note(made, configured.section)
                 stress = results.series["stress"]
@@ -225,38 +229,15 @@ class LaminateRun:
             if role in self._attached:
                 client = services.attach(role, role, self._attached[role], self._keys, watch)
             else:
-                services.start(role, role, backend, workers=workers)
+                services.start(role, role, backend, workers=workers, link_keys=self._keys)
                 client = services.connect(role, watch)
             client.watch_with(watch)
         return services.clients["structure"]
 
     def _request(self, services: Services) -> s.StructureConfigure:
-        scene = self.scene
-        plate, mesh, load = scene.laminate, scene.mesh, scene.load
-        cell = {name: getattr(self._cell, name) for name in RegisterCell.model_fields}
         started = services.processes.get("micromechanics")
         endpoint = self._attached["micromechanics"] if started is None else started.endpoint
-        return s.StructureConfigure(
-            **cell,
-            length=plate.length,
-            width=plate.width,
-            hole_diameter=plate.hole_diameter,
-            angles=radians(scene.modelled_angles),
-            ply_thickness=plate.ply_thickness,
-            quarter=scene.quarter,
-            lower_half=scene.lower_half,
-            mesh=s.PlateMesh(
-                **mesh.model_dump(exclude={"integration"}), mean_dilatation=mesh.integration == "selective"
-            ),
-            cohesive=None if scene.cohesive is None else s.CohesiveConstants(**scene.cohesive.model_dump()),
-            temperature=plate.temperature,
-            final_strain=load.final_strain,
-            increments=s.Increments(
-                first=load.first, least=load.least, most=load.most, iterations=load.iterations, tolerance=load.tolerance
-            ),
-            damage="elimination" if scene.micromechanics.failure else "none",
-            micromechanics=endpoint,
-        )
+        return configure_request(self.scene, self._cell, endpoint)
 
     def _begin(self, configured: s.StructureConfigured) -> LaminateResults:
         if self._checkpoint is not None:
@@ -264,6 +245,8 @@ class LaminateRun:
             kept.cut(self._checkpoint[0]["step"])
             return kept
         scene = self.scene
+        angles = np.array(scene.modelled_angles, dtype=np.float64)
+        places = [scene.modelled_place(place) for place in scene.output.watched]
         return LaminateResults(
             scene={
                 "name": scene.name,
@@ -274,11 +257,12 @@ class LaminateRun:
                 "command": self._command,
             },
             materials=[material.name for material in self._cell.materials],
-            angles=np.array(scene.modelled_angles, dtype=np.float64),
+            angles=angles,
             nodes=configured.nodes,
             bricks=configured.bricks,
             ply=configured.ply,
             section=configured.section,
+            watched=WatchedPlaces.near(places, configured, angles, self._cell) if places else None,
             versions=versions(),
         )
 
@@ -308,6 +292,8 @@ class LaminateRun:
             )
         results.new_failures.append(made.new_failures)
         results.layer_damage.append(made.layer_damage)
+        if results.watched is not None:
+            results.watched.note(made)
 
     def _frame(self, structure: Client, made: s.StructureAdvanced) -> None:
         assert self._results is not None
@@ -323,10 +309,11 @@ class LaminateRun:
         write_checkpoint(self.folder, header, state)
 
     def _settings(self) -> dict[str, Any]:
-        """Scene and cell, as they are read back from a checkpoint."""
+        """Scene, cell and the mesh of a file, as they are read back from a checkpoint."""
         arrays = {name: array.tolist() for name, array in self._cell.array_values().items()}
         cell = json.loads(json.dumps({**self._cell.plain_values(), **arrays}))
-        return {"scene": self.scene.model_dump(mode="json"), "cell": cell}
+        plane = None if self.scene.plane is None else self.scene.plane.digest
+        return {"scene": self.scene.model_dump(mode="json"), "cell": cell, "plane": plane}
 
     def _load_checkpoint(self) -> None:
         try:
@@ -348,6 +335,8 @@ class LaminateRun:
             raise RunError(
                 f"{self.scene.cell_file} differs from what the checkpoint was made with in {', '.join(sorted(changed))}"
             )
+        if header.get("plane") != settings["plane"]:
+            raise RunError(f"the mesh in {self.scene.mesh.file} differs from what the checkpoint was made with")
         self._checkpoint = header, state
 
 
@@ -358,6 +347,7 @@ def measures_of(results: LaminateResults) -> dict[str, float | None]:
         return dict.fromkeys(_UNITS)
     peak = int(np.argmax(stress))
     first = results.events[0] if results.events else None
+    work, viscous = results.series["work"][-1], results.series["viscous_energy"][-1]
     asked, spared = sum(results.series["queried"]), sum(results.series["spared"])
     return {
         "peak_stress": stress[peak],
@@ -368,4 +358,6 @@ def measures_of(results: LaminateResults) -> dict[str, float | None]:
         "failed_points": float(np.sum(results.new_failures)),
         "queries_spared": spared / (asked + spared) if asked + spared else None,
         "residual_max": max(results.series["residual"]),
+        "work": work,
+        "viscous_share": viscous / work if viscous else None,
     }

@@ -133,8 +133,13 @@ class Services:
         self.processes: dict[str, ServiceProcess] = {}
         self.clients: dict[str, Client] = {}
 
-    def start(self, name: str, role: str, backend: str, ranks: int = 1, workers: int = 1) -> None:
-        """Start a service, or the front of several workers; `connect` waits until it is ready."""
+    def start(
+        self, name: str, role: str, backend: str, ranks: int = 1, workers: int = 1, link_keys: Path | None = None
+    ) -> None:
+        """Start a service, or the front of several workers; `connect` waits until it is ready.
+
+        It asks other services with the keys in `link_keys`, if it asks some over TCP.
+        """
         folder = self._folder / "services" / name
         folder.mkdir(parents=True, exist_ok=True)
         endpoint = f"ipc://{self._socket_path(folder)}"
@@ -143,6 +148,7 @@ class Services:
             *(sys.executable, "-m", "coordinator.cli", "serve", role, "--backend", backend),
             *("--bind", endpoint, "--folder", str(folder), "--parent", str(os.getpid())),
             *(("--workers", str(workers)) if workers > 1 else ()),
+            *(("--link-keys", str(link_keys)) if link_keys is not None else ()),
         ]  # fmt: skip
         environment = {**os.environ, **{name: "1" for name in THREAD_VARIABLES}}
         with (folder / "log.txt").open("ab") as log:

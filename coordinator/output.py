@@ -120,7 +120,7 @@ class RunOutput:
         points = coupling.point_fields()
         self._writer.points_frame(
             coupling.step, time, points["position"], points["displacement"], points["velocity"], points["stress"],
-            points["weight"],
+            points["weight"], coupling.failed_by_ply(points),
         )  # fmt: skip
         atoms = coupling.atom_positions()
         if atoms is not None:

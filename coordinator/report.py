@@ -19,6 +19,7 @@ from coordinator.field_figures import (
     stress_pictures,
 )
 from coordinator.figures import Picture, style
+from coordinator.ply_figures import ply_pictures
 from coordinator.report_page import page
 from coordinator.results import Results
 from coordinator.scene import Scene, SceneError, read_resolved
@@ -109,6 +110,7 @@ def _report(results: Results, summary: Summary | None) -> str:
             Section("Crack", "Atoms around the tip.", _crack_pictures(results, scene)),
             Section("Strain", "A uniform strain should pass unchanged.", strain_pictures(results, scene)),
             Section("Stress", "One colour scale for all times.", stress_pictures(results, scene)),
+            Section("Plies", "What has failed, by angle of the plies and by material.", ply_pictures(results, scene)),
             Section("Over time", "", series_pictures(results, scene, summary)),
         ]
     status = summary.status if summary is not None else results.status

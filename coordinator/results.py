@@ -184,11 +184,15 @@ class ResultsWriter:
         velocity: ArrayLike,
         stress: ArrayLike,
         weight: ArrayLike,
+        failed: dict[str, FloatArray] | None = None,
     ) -> None:
         """Add the material points; shapes and units as in `vtkhdf.PointsFrame`."""
         self._last_points = _ascending("points_frame", step, self._last_points)
         arrays = [np.array(a, dtype=np.float64) for a in (position, displacement, velocity, stress, weight)]
-        self._points.append(vtkhdf.PointsFrame(step, time, *arrays))
+        position, displacement, velocity, stress, weight = arrays
+        self._points.append(
+            vtkhdf.PointsFrame(step, time, position, displacement, velocity, stress, weight, failed or {})
+        )
 
     def measured(self, step: int, time: float, fields: MeasuredFields) -> None:
         """Add fields that were measured on the atoms."""

@@ -17,6 +17,7 @@ from coordinator.checkpoint import CheckpointError, read_checkpoint, write_check
 from coordinator.coupling import Coupling, StepRecord
 from coordinator.display_units import units_of
 from coordinator.interruption import Interrupted, Interruption
+from coordinator.laminate_material import laminate_of, plain_cell, read_cell
 from coordinator.launcher import ServiceDied, Services
 from coordinator.output import RunOutput
 from coordinator.scene import Scene, load_scene
@@ -30,6 +31,8 @@ from protocol.messages import Acknowledged, Status
 
 #: Exit status after Ctrl-C, as shells have it.
 INTERRUPTED_STATUS = 130
+#: Name of the service that the continuum asks, and the coordinator does not.
+MICROMECHANICS = "micromechanics"
 #: Seconds between two looks at the progress of a long operation.
 STATUS_EVERY = 0.5
 #: What may end a run before its end; anything else is a fault of this program.
@@ -80,8 +83,8 @@ def run_scene(
 
     Raises
     ------
-    SceneError, BackendError, RunError, CheckpointError
-        Before anything has started.
+    SceneError, BackendError, RunError, CheckpointError, ValueError
+        Before anything has started; the last for mistakes in a cell file.
     """
     scene = load_scene(scene_path, overrides)
     for wanted in _wanted(scene):
@@ -122,12 +125,16 @@ class Wanted(NamedTuple):
     name: str
     role: str
     backend: str
-    ranks: int
+    ranks: int = 1
+    workers: int = 1
 
 
 def _wanted(scene: Scene) -> list[Wanted]:
     """Return the services that a scene needs."""
-    wanted = [Wanted("continuum", "continuum", scene.continuum.backend, 1)]
+    wanted = [Wanted("continuum", "continuum", scene.continuum.backend)]
+    cells = scene.micromechanics
+    if cells is not None:
+        wanted.append(Wanted(MICROMECHANICS, "micromechanics", cells.backend, workers=cells.workers))
     if scene.atomistic is not None:
         atoms = scene.atomistic
         wanted += [Wanted(place.name, "atomistic", atoms.backend, atoms.ranks) for place in scene.places]
@@ -166,6 +173,7 @@ class Run:
         self._keys = keys
         self._console = console
         self._command = command
+        self._cell = read_cell(scene)
         self._checkpoint: tuple[dict[str, Any], dict[str, Any]] | None = None
         self._state_step = -1
 
@@ -193,6 +201,12 @@ class Run:
                 f"the scene differs from that of the checkpoint in {', '.join(sorted(changed))}; only run.steps and "
                 "run.stop_after_crack_growth may change on --resume"
             )
+        if self._cell is not None:
+            changed = differences(header["cell"], plain_cell(self._cell))
+            if changed:
+                raise RunError(
+                    f"the cell file differs from what the checkpoint was made with in {', '.join(sorted(changed))}"
+                )
         self._checkpoint = header, state
 
     def execute(self) -> int:
@@ -215,7 +229,7 @@ class Run:
                 end = Ending("failed", sentence, 1)
                 raise
             finally:
-                timing = {role: client.timing for role, client in services.clients.items()}
+                timing = {role: client.timing for role, client in _driven(services).items()}
                 services.stop()
                 output.close(end.status, end.sentence, time.perf_counter() - began, timing)
         if end.sentence:
@@ -254,14 +268,15 @@ class Run:
         """Start and connect services, build both models, equilibrate or restore."""
         self._start(services, interruption)
         watch = _Watch(services, interruption, lambda done, total: progress.update(task, total=total, completed=done))
-        clients = services.clients
-        for role, client in clients.items():
+        driven = _driven(services)
+        for role, client in driven.items():
             client.watch_with(lambda role=role: watch(role))  # type: ignore[misc]
         header = self._checkpoint[0] if self._checkpoint else None
         coupling = Coupling(
-            self.scene, clients["continuum"], {name: one for name, one in clients.items() if name != "continuum"},
+            self.scene, driven.pop("continuum"), driven,
             Properties.model_validate(header["properties"]) if header and header["properties"] else None,
             header["steps_per_exchange"] if header else None, tell,
+            None if self._cell is None else laminate_of(self.scene, self._cell, self._endpoint(services)),
         )  # fmt: skip
         watch.abortable = True
         try:
@@ -285,6 +300,11 @@ class Run:
             self._save(coupling, output)
         return coupling
 
+    def _endpoint(self, services: Services) -> str:
+        """Where the continuum finds the microstructure of its plies."""
+        started = services.processes.get(MICROMECHANICS)
+        return self._attached[MICROMECHANICS] if started is None else started.endpoint
+
     def _start(self, services: Services, interruption: Interruption) -> None:
         """Start what the scene needs and is not attached; wait until each answers."""
 
@@ -296,7 +316,8 @@ class Run:
         wanted = _wanted(self.scene)
         for one in wanted:
             if one.name not in self._attached:
-                services.start(one.name, one.role, one.backend, one.ranks)
+                keys = self._keys if one.role == "continuum" and self._cell is not None else None
+                services.start(one.name, one.role, one.backend, one.ranks, one.workers, keys)
         for one in wanted:
             if one.name in self._attached:
                 services.attach(one.name, one.role, self._attached[one.name], self._keys, watch)
@@ -348,6 +369,7 @@ class Run:
             "scene": self.scene.model_dump(mode="json"),
             "properties": coupling.properties.model_dump() if coupling.properties else None,
             "steps_per_exchange": coupling.scene.handshake.steps_per_exchange if coupling.scene.handshake else None,
+            "cell": None if self._cell is None else plain_cell(self._cell),
         }
         write_checkpoint(self.folder, header, state)
         self._state_step = coupling.step
@@ -379,8 +401,13 @@ class _Watch:
                 self._show(status.done, status.total)
 
 
+def _driven(services: Services) -> dict[str, Client]:
+    """Return the clients of the services that the coordinator drives."""
+    return {name: client for name, client in services.clients.items() if name != MICROMECHANICS}
+
+
 def _computing(services: Services) -> dict[str, float]:
-    return {role: client.timing.computing for role, client in services.clients.items()}
+    return {role: client.timing.computing for role, client in _driven(services).items()}
 
 
 def ending(error: Exception, services: Services, done: str, kept: str, command: str) -> Ending:

@@ -63,6 +63,10 @@ def load_scene(path: str | Path, overrides: Sequence[str] = ()) -> Scene:
     if sample is not None and not (scene.folder / sample).is_file():
         raise SceneError([problem_line(str(file), ("atomistic", "sample"), {"atomistic": {"sample": sample}},
                                 f"there is no such file in {scene.folder}")])  # fmt: skip
+    if scene.micromechanics is not None and not (scene.folder / scene.micromechanics.cell).is_file():
+        raise SceneError([problem_line(str(file), ("micromechanics", "cell"),
+                                       {"micromechanics": {"cell": scene.micromechanics.cell}},
+                                       f"there is no such file in {scene.folder}")])  # fmt: skip
     return scene
 
 

@@ -54,11 +54,18 @@ def _which_tables(scene: Any, tables: set[str]) -> Iterator[Problem]:
         if not coupled and "continuum.material" not in tables:
             yield ("continuum", "material"), "is missing; a scene without [atomistic] needs this table"
         material = scene.continuum.material
-        if coupled and material is not None and material.law == "orthotropic":
+        law = None if material is None else material.law
+        if coupled and law in ("orthotropic", "laminate"):
             yield (
                 ("continuum", "material", "law"),
                 "must have one Young's modulus with [atomistic]: the theory of the handshake needs it",
             )
+        if law == "laminate" and "micromechanics" not in tables:
+            yield ("micromechanics",), 'is missing; a material with law = "laminate" needs this table'
+        if law == "laminate" and scene.continuum.assumption == "plane_strain":
+            yield ("continuum", "assumption"), 'must be plane_stress with law = "laminate"'
+        if law != "laminate" and "micromechanics" in tables:
+            yield ("micromechanics",), 'must be left out unless continuum.material has law = "laminate"'
     run = scene.run
     if not coupled and scene.regions:
         yield ("regions",), "must be left out in a scene without [atomistic]"

@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from coordinator.atomistic_tables import Atomistic
 from coordinator.continuum_tables import Continuum, CrackGrowth
 from coordinator.grid_lines import snapped_overlap
+from coordinator.micromechanics_table import Micromechanics
 from coordinator.table import Corners, Count, Name, SceneTable, Table
 from coordinator.units import (
     Length,
@@ -153,6 +154,7 @@ class Scene(SceneTable):
     handshake: Handshake | None = None
     regions: list[Place] = Field(default=[], description="where there are atoms; absent: around the origin")
     crack: Crack | None = None
+    micromechanics: Micromechanics | None = Field(default=None, description="the cell of a laminate's plies")
 
     @property
     def places(self) -> list[Place]:

@@ -152,8 +152,9 @@ def _load(curves: Curves, scene: Scene) -> Picture | None:
     curves.draw(axes[0], "applied_strain", "applied strain", BLUE, 0.01)
     axes[0].set_ylabel("applied strain (%)")
     curves.draw(axes[1], "edge_force", "force", BLUE, curves.units.force[0])
-    axes[1].set(ylabel=f"force of top edge ({curves.units.force[1]})", xlabel=curves.time_label)
-    return picture(figure, "Load", "Strain that the edges apply, and the force of the top edge on the body.")
+    edge = "right" if scene.continuum.pull_axis == 0 else "top"
+    axes[1].set(ylabel=f"force of {edge} edge ({curves.units.force[1]})", xlabel=curves.time_label)
+    return picture(figure, "Load", f"Strain that the edges apply, and the force of the {edge} edge on the body.")
 
 
 def _crack(curves: Curves, scene: Scene) -> Picture | None:

@@ -20,6 +20,7 @@ def serve_role(
     *,
     ranks: int,
     keys: Path | None,
+    link_keys: Path | None,
     insecure_public: bool,
     max_message_bytes: int,
     folder: Path,
@@ -56,6 +57,7 @@ def serve_role(
         words = [sys.executable, "-m", "coordinator.cli", "serve", role, "--backend", backend.name]
         limit = ["--max-message-bytes", str(max_message_bytes)]
         service = backend.make_front(folder, [*words, *limit], workers, executor)
+    service.link_keys = link_keys or keys
     server = Server(
         service, endpoint, keys=keys, insecure_public=insecure_public, max_message_bytes=max_message_bytes
     )  # fmt: skip

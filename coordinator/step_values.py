@@ -27,6 +27,8 @@ def continuum_values(reply: c.ContinuumAdvanced) -> dict[str, float]:
         "continuum_dissipated": reply.dissipated_energy,
         "points_lost": float(reply.points_lost),
     }
+    if reply.queried or reply.spared:
+        values["plies_queried"], values["plies_spared"] = float(reply.queried), float(reply.spared)
     if reply.filter_loss is not None:
         values["continuum_filter_loss"] = reply.filter_loss
     if reply.momentum is not None:
@@ -35,21 +37,24 @@ def continuum_values(reply: c.ContinuumAdvanced) -> dict[str, float]:
 
 
 def boundary_values(scene: Scene, elastic: c.IsotropicMaterial | None, reply: c.ContinuumAdvanced) -> dict[str, float]:
-    """Return load measures of the first edges that pull the body apart along y."""
+    """Return load measures of the edges that pull the body apart, along y or else along x."""
     table = scene.continuum
     found: dict[str, float] = {}
+    axis = table.pull_axis
+    if axis is None:
+        return found
     moved = {
         (edge.edge, edge.axis): (reply.edge_displacement[k], reply.edge_force[k])
         for k, edge in enumerate(table.edges)
         if edge.moves and edge.kind != "k_field"
     }
-    top, bottom = moved.get(("top", 1)), moved.get(("bottom", 1))
-    if top is None or bottom is None:
-        return found
-    height = table.upper[1] - table.lower[1]
+    top, bottom = (moved["top", 1], moved["bottom", 1]) if axis == 1 else (moved["right", 0], moved["left", 0])
+    height = table.upper[axis] - table.lower[axis]
     strain = float(top[0] - bottom[0]) / height
     found["applied_strain"] = strain
     found["edge_force"] = float(top[1])
+    if axis == 0:
+        return found
     if scene.crack is not None and scene.crack.start_x is None and elastic is not None:
         found["j_boundary"] = strip_j(
             elastic, table.assumption, strain, height, sideways_free=("top", 0) not in moved

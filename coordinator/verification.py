@@ -1,4 +1,4 @@
-"""Cases `whole/...` of `scalebridge verify`: whole runs of the shipped scenes, held against known answers."""
+"""Cases of `scalebridge verify` that are whole runs, held against known answers."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from coordinator.field_figures import inner_strain
 from coordinator.kill_resume import KILL_RESUME
+from coordinator.laminate_kill_resume import LAMINATE_KILL_RESUME
 from coordinator.results import Results
 from protocol.verification import CannotRun, Case, Check
 
@@ -112,4 +113,5 @@ CASES = [
     Case("whole", "time-outside-solvers", "share of the run outside the two solvers", time_outside_solvers),
     Case("whole", "crack", "a crack grows in the atoms under the load of the continuum", crack, slow=True),
     KILL_RESUME,
+    LAMINATE_KILL_RESUME,
 ]

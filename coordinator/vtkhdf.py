@@ -10,7 +10,7 @@ no units and tolerances of its geometry suit numbers near one; this module takes
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import h5py
@@ -29,6 +29,8 @@ _TIME_OF = dict(zip(LENGTHS, TIMES, strict=True))
 _FEWEST = 5.0
 #: Fields that change with time: components.
 FIELDS = {"Displacement": 3, "Velocity": 3, "Stress": 3, "VonMises": 1}
+#: Begins the names of fields of what has failed.
+FAILED = "Failed "
 _CELL_KINDS = ("Vertices", "Lines", "Polygons", "Strips")
 
 
@@ -47,6 +49,9 @@ class PointsFrame:
         xx, yy, xy, Pa.
     weight : float64 array, shape (points,)
         Share of stiffness and mass. Rows that an earlier frame had too are the same points, of the same weight.
+    failed : dict of str to float64 array, shape (points,)
+        Of a laminate: share of a material's subcells that has failed, by the words for plies and material. All frames
+        of a file have the same names.
     """
 
     step: int
@@ -56,6 +61,7 @@ class PointsFrame:
     velocity: FloatArray
     stress: FloatArray
     weight: FloatArray
+    failed: dict[str, FloatArray] = field(default_factory=dict)
 
 
 def von_mises(stress: FloatArray) -> FloatArray:
@@ -93,10 +99,11 @@ def append(file: h5py.File, frames: Sequence[PointsFrame]) -> None:
         begin = len(group["Points"])
         steps["Values"][row], steps["Step"][row] = frame.time / units.time, frame.step
         steps["PointOffsets"][row] = begin
-        for name, array in (("Points", group["Points"]), *((name, group["PointData"][name]) for name in FIELDS)):
+        changing = _changing(group)
+        for name, array in (("Points", group["Points"]), *((name, group["PointData"][name]) for name in changing)):
             array.resize(begin + count, axis=0)
             array[begin:] = _values(name, frame, units)
-            if name in FIELDS:
+            if name in changing:
                 steps["PointDataOffsets"][name][row] = begin
     steps.attrs["NSteps"] = first + len(frames)
 
@@ -118,7 +125,7 @@ def truncate(file: h5py.File, step: int) -> None:
     weights = int(steps["PointDataOffsets/Weight"][keep - 1] + group["NumberOfPoints"][part])
     for array in (*(steps[name] for name in _STEP_TABLES), *steps["PointDataOffsets"].values()):
         array.resize(keep, axis=0)
-    for array in (group["Points"], *(group["PointData"][name] for name in FIELDS)):
+    for array in (group["Points"], *(group["PointData"][name] for name in _changing(group))):
         array.resize(end, axis=0)
     group["PointData/Weight"].resize(weights, axis=0)
     group["NumberOfPoints"].resize(part + 1, axis=0)
@@ -168,7 +175,14 @@ class PointsReader:
             step=int(self.step[index]), time=float(self.time[index]),
             position=self._group["Points"][part].astype(np.float64) * self._units.length,
             weight=data["Weight"][weights : weights + count].astype(np.float64), **fields,
+            failed={name.removeprefix(FAILED): data[name][part].astype(np.float64) for name in _changing(self._group)
+                    if name.startswith(FAILED)},
         )  # fmt: skip
+
+
+def _changing(group: h5py.Group) -> list[str]:
+    """Names of the fields of a file that change with time."""
+    return [name for name in group["PointData"] if name != "Weight"]
 
 
 class _Units:
@@ -196,6 +210,8 @@ def _units_for(position: FloatArray) -> _Units:
 def _values(name: str, frame: PointsFrame, units: _Units) -> NDArray[np.float32]:
     if name == "Points":
         return (frame.position / units.length).astype(np.float32)
+    if name.startswith(FAILED):
+        return frame.failed[name.removeprefix(FAILED)].astype(np.float32)
     value = von_mises(frame.stress) if name == "VonMises" else getattr(frame, name.lower())
     return (value / units.of(name)).astype(np.float32)
 
@@ -237,6 +253,8 @@ def _create(file: h5py.File, frame: PointsFrame) -> None:
     for name, components in FIELDS.items():
         tail = () if components == 1 else (components,)
         grows(data, name, tail, np.float32, count).attrs["unit"] = units.name_of(name)
+    for name in frame.failed:
+        grows(data, FAILED + name, (), np.float32, count)
     grows(data, "Weight", (), np.float32, count)
 
     steps = group.create_group("Steps")
@@ -246,7 +264,7 @@ def _create(file: h5py.File, frame: PointsFrame) -> None:
         grows(steps, name, tail, np.float64 if name == "Values" else np.int64)
     steps["Values"].attrs["unit"] = units.time_name
     offsets = steps.create_group("PointDataOffsets")
-    for name in (*FIELDS, "Weight"):
+    for name in data:
         grows(offsets, name)
 
 

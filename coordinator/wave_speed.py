@@ -42,10 +42,17 @@ def wave_speed(material: c.Material, assumption: Literal["plane_stress", "plane_
     material : Material
     assumption : {"plane_stress", "plane_strain"}
 
+    Raises
+    ------
+    ValueError
+        For a laminate, whose stiffness only its microstructure knows.
+
     Notes
     -----
     The largest eigenvalue of n.C.n over the directions n in the plane, over the density.
     """
+    if isinstance(material, c.LaminateMaterial):
+        raise ValueError("the stiffness of a laminate is known to its micromechanics service alone")
     if isinstance(material, c.OrthotropicMaterial):
         stiffness, shear = _orthotropic(material, assumption)
     else:

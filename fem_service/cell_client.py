@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 import numpy as np
@@ -10,9 +9,8 @@ from numpy.typing import NDArray
 
 from fem_service.point_material import PointAnswer, PointState
 from protocol import micromechanics as m
+from protocol.cell_link import CellLink
 from protocol.client import Client
-from protocol.errors import ConnectionProblem, ProtocolError
-from protocol.micromechanics_query import CellQueries
 
 
 class CellClient:
@@ -33,11 +31,13 @@ class CellClient:
 
     Attributes
     ----------
+    link : CellLink
+        Knows the seconds that its queries took.
     registered : CellRegistered
+    softens : bool
+        See `fem_service.point_material.PointMaterial`.
     queried, spared : int
-        Points that were asked for and that were not.
-    seconds, wire : float
-        Spent in queries, and of that not computed by the service, s. Whoever reads these four may set them to zero.
+        Points that were asked for and that were not. Whoever reads them may set them to zero.
 
     Raises
     ------
@@ -48,27 +48,19 @@ class CellClient:
     def __init__(
         self, connect: Callable[[], Client], cell: m.RegisterCell, temperature: float, *, spare: bool = True
     ) -> None:
-        self._connect = connect
-        self._cell = cell
         self._temperature = temperature
+        self.link = CellLink(connect, cell)
         try:
-            self._client = connect()
-        except ConnectionProblem as error:
-            raise ProtocolError("bad_field", f"micromechanics: {error}", field="micromechanics") from None
-        try:
-            self._queries = CellQueries(self._client, cell)
-            request = m.CellPropertiesRequest(cell=self._queries.registered.cell, temperature=temperature)
-            properties = self._client.call("properties", request, m.CellProperties)
+            properties = self.link.properties(temperature)
         except BaseException:
-            self._client.close()
+            self.link.close()
             raise
-        self.registered = self._queries.registered
+        self.registered = self.link.registered
         self._stiffness = properties.stiffness
         self._locked = properties.stiffness @ properties.expansion * (temperature - cell.stress_free_temperature)
         self._safe = properties.safe_energy if spare else 0.0
-        self._softens = any(material.fracture_energy is not None for material in cell.materials)
+        self.softens = any(material.fracture_energy is not None for material in cell.materials)
         self.queried = self.spared = 0
-        self.seconds = self.wire = 0.0
 
     def fresh(self, points: int) -> PointState:
         """State of points that have never been loaded."""
@@ -76,6 +68,11 @@ class CellClient:
             np.zeros((points, self.registered.failed_bytes), dtype=np.uint8),
             np.zeros((points, self.registered.history_values)),
         )
+
+    def intact(self, points: int) -> PointAnswer:
+        """Answer without strain of points of which nothing fails; needs no query."""
+        stress = np.tile(-self._locked, (points, 1))
+        return PointAnswer(stress, self.fresh(points), np.zeros(points, dtype=np.int64), self._stiffness[None])
 
     def respond(
         self, strain: NDArray[np.float64], state: PointState, element_length: NDArray[np.float64]
@@ -109,7 +106,18 @@ class CellClient:
 
     def close(self) -> None:
         """Let go of the service."""
-        self._client.close()
+        self.link.close()
+
+    def localise(self, strain: NDArray[np.float64], state: PointState) -> NDArray[np.float64]:
+        """Stress in every subcell at points in a state that is kept, shape (points, subcells, 6), Pa."""
+        request = m.LocaliseRequest(
+            cell=self.registered.cell,
+            temperature=self._temperature,
+            strain=strain,
+            failed=state.failed,
+            history=state.history,
+        )
+        return self.link.localise(request).stress
 
     def _ask(
         self,
@@ -124,27 +132,6 @@ class CellClient:
             strain=strain,
             failed=state.failed[asked],
             history=state.history[asked],
-            element_length=element_length[asked] if self._softens else None,
+            element_length=element_length[asked] if self.softens else None,
         )
-        began, computed = time.perf_counter(), self._client.timing.computing
-        try:
-            answer = self._queries.evaluate(request)
-        except ConnectionProblem as error:
-            answer, computed = self._asked_anew(request, error), 0.0
-        spent = time.perf_counter() - began
-        self.seconds += spent
-        self.wire += max(0.0, spent - (self._client.timing.computing - computed))
-        return answer
-
-    def _asked_anew(self, request: m.EvaluateRequest, problem: ConnectionProblem) -> m.Evaluated:
-        """Answer of a service that came in the place of one that is gone: it holds no state, so nothing is lost."""
-        try:
-            found = self._connect()
-            self._client.close()
-            self._client = found
-            self._queries = CellQueries(found, self._cell)
-            return self._queries.evaluate(request)
-        except ConnectionProblem as error:
-            raise ProtocolError(
-                "solver_failed", f"micromechanics: {problem}; then {error}", field="micromechanics"
-            ) from None
+        return self.link.evaluate(request)

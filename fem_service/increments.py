@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from fem_service.quasi_static import Equilibrium, NotConverged, QuasiStatic
 
 #: Iterations below and above which the next increment is larger and smaller, and by how much.
-_FEW, _MANY = 6, 20
+_FEW, _MANY = 12, 20
 _GROWTH, _SHRINKING = 1.5, 0.7
 
 
@@ -89,8 +89,13 @@ def next_increment(laminate: QuasiStatic, start: Equilibrium, size: float, end: 
                 ) from None
             continue
         iterations += found.iterations
-        if halved == 0 and found.iterations <= _FEW:
-            size = min(size * _GROWTH, steps.most)
-        elif found.iterations > _MANY:
-            size = max(size * _SHRINKING, steps.least)
-        return Increment(found, size, iterations, halved)
+        return Increment(found, size_after(found, size, halved, steps), iterations, halved)
+
+
+def size_after(found: Equilibrium, size: float, halved: int, steps: Steps) -> float:
+    """Size to try after an increment of a size that was found after so many halvings."""
+    if halved == 0 and found.iterations <= _FEW:
+        return min(size * _GROWTH, steps.most)
+    if found.iterations > _MANY:
+        return max(size * _SHRINKING, steps.least)
+    return size

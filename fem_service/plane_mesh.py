@@ -109,11 +109,11 @@ def open_hole(
         across = half + (0.5 * length - half) * graded(beyond, _growth_from(beyond, 0.5 * length - half, side[1]))
         x, y = np.meshgrid(across, side, indexing="ij")
         parts.append(_block(np.stack([x, y], axis=-1)))
-    quarter = _joined(parts)
+    quarter = joined(parts)
     if quadrant:
         return quarter
-    upper = _joined([quarter, _mirrored(quarter, 0)])
-    return _joined([upper, _mirrored(upper, 1)])
+    upper = joined([quarter, mirrored(quarter, 0)])
+    return joined([upper, mirrored(upper, 1)])
 
 
 def graded(count: int, growth: float) -> NDArray[np.float64]:
@@ -145,13 +145,14 @@ def _block(points: NDArray[np.float64]) -> PlaneMesh:
     return PlaneMesh(points.reshape(-1, 2), np.stack(corners, axis=-1).reshape(-1, 4).astype(np.int64))
 
 
-def _mirrored(mesh: PlaneMesh, axis: int) -> PlaneMesh:
+def mirrored(mesh: PlaneMesh, axis: int) -> PlaneMesh:
+    """The mesh with one coordinate turned over, counterclockwise again."""
     nodes = mesh.nodes.copy()
     nodes[:, axis] *= -1.0
     return PlaneMesh(nodes, np.ascontiguousarray(mesh.elements[:, ::-1]))
 
 
-def _joined(meshes: list[PlaneMesh]) -> PlaneMesh:
+def joined(meshes: list[PlaneMesh]) -> PlaneMesh:
     """One mesh, in which nodes at the same place are one."""
     nodes = np.concatenate([mesh.nodes for mesh in meshes])
     starts = np.cumsum([0] + [len(mesh.nodes) for mesh in meshes[:-1]])

@@ -47,10 +47,23 @@ class PointAnswer:
 
 
 class PointMaterial(Protocol):
-    """A material at many points."""
+    """A material at many points.
+
+    Attributes
+    ----------
+    softens : bool
+        Whether its history is damage that only grows, and its tangents are secant stiffnesses where it does.
+    """
+
+    @property
+    def softens(self) -> bool:
+        """See the class."""
 
     def fresh(self, points: int) -> PointState:
         """State of points that have never been loaded."""
+
+    def intact(self, points: int) -> PointAnswer:
+        """Answer without strain of points that have never been loaded and of which nothing fails."""
 
     def respond(
         self, strain: NDArray[np.float64], state: PointState, element_length: NDArray[np.float64]
@@ -67,12 +80,18 @@ class ElasticMaterial:
         Pa; order 11, 22, 33, 23, 13, 12, engineering shear, axis 1 along the fibre.
     """
 
+    softens = False
+
     def __init__(self, stiffness: NDArray[np.float64]) -> None:
         self.stiffness = np.ascontiguousarray(stiffness, dtype=np.float64)
 
     def fresh(self, points: int) -> PointState:
         """No state at all."""
         return PointState(np.zeros((points, 0), dtype=np.uint8), np.zeros((points, 0)))
+
+    def intact(self, points: int) -> PointAnswer:
+        """No stress."""
+        return self.respond(np.zeros((points, 6)), self.fresh(points), np.zeros(points))
 
     def respond(
         self, strain: NDArray[np.float64], state: PointState, element_length: NDArray[np.float64]

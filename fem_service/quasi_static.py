@@ -5,10 +5,17 @@ the tangents that the material answers: what fails for good stays failed from on
 death of some points unloads onto others, which may fail in turn, until none does. History that can go either way (a
 plastic strain, a softening) always starts from the end of the last increment.
 
+Where plies are joined by cohesive layers, whose openings overshoot on their way to a balance, points fail at a balance
+alone: until the forces are in balance to a thousandth, points that would fail anew answer as they stand, for some
+iterations at least. Otherwise a laminate would break by strains that it never has.
+
 Where a step goes too far although nothing new has failed for good (cohesive layers, softening), a line search shortens
 it until the work of the forces out of balance along the step is small. Iterations with consistent tangents take turns
 with iterations with the secant stiffness of the layers: where layers soften at the front of a crack, consistent
-tangents alone can go to and fro between growing and resting damage for ever.
+tangents alone can go to and fro between growing and resting damage for ever. Points that soften answer secant
+stiffnesses, with which steps creep: there the last few steps are mixed (`fem_service.acceleration`). Where they find no
+balance for long, as where elements would snap back, damage is kept from one iteration to the next, as sudden failures
+are: it can only grow to its end, so the laminate comes to rest.
 """
 
 from __future__ import annotations
@@ -22,8 +29,10 @@ import numpy as np
 import scipy.sparse
 from numpy.typing import NDArray
 
+from fem_service.acceleration import Acceleration
 from fem_service.cohesive_law import CohesiveLaw
 from fem_service.cohesive_layer import CohesiveLayers, Separation
+from fem_service.factorisation import Factoriser
 from fem_service.hexahedron import POINTS, Hexahedra
 from fem_service.laminate_mesh import LaminateMesh
 from fem_service.lever import Lever
@@ -36,8 +45,13 @@ from fem_service.sparse_solution import HeldSystem
 _SLACK, _SHORTENED = 0.5, 4
 #: Forces below this part of the largest stiffness times the largest displacement are rounding errors.
 _ROUNDING = 1e-14
+#: Iterations after which damage is kept from one to the next, and steps are not mixed: they would overshoot for good.
+_PATIENCE = 12
 #: Iterations with consistent tangents, and then with secant stiffness of the layers, in turn.
 _TURN = 6
+#: Out of balance, below which points fail in a laminate with cohesive layers, and iterations that they wait for it: a
+#: laminate that finds no balance in the meantime is breaking, and goes on breaking.
+_STAGE, _WAIT = 1e-3, 4 * _TURN
 
 
 class NotConverged(Exception):
@@ -118,13 +132,35 @@ class Aim:
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """Forces of all elements at one displacement."""
+    """Forces of all elements at one displacement; `failed` is what fails at its `strain`, held back or not."""
 
+    strain: NDArray[np.float64]  # of the points, in the axes of the plies
+    failed: NDArray[np.uint8]
     answer: PointAnswer
     stress: NDArray[np.float64]
     separation: Separation | None
     force: NDArray[np.float64]
     largest: float  # by which a force out of balance is judged
+
+    @property
+    def fails_later(self) -> bool:
+        """Whether points were held back that fail at this strain."""
+        return not np.array_equal(self.failed, self.answer.state.failed)
+
+
+def _held_back(answer: PointAnswer, strain: NDArray[np.float64], points: PointState, before: Response) -> PointAnswer:
+    """An answer in which points that fail anew go on as they were in the response before."""
+    new = np.flatnonzero((answer.state.failed != points.failed).any(axis=1))
+    if not len(new):
+        return answer
+    stress, failed, index = answer.stress.copy(), answer.state.failed.copy(), answer.index.copy()
+    used, place = np.unique(before.answer.index[new], return_inverse=True)
+    tangents = before.answer.tangents[used]
+    change = strain[new] - before.strain[new]
+    stress[new] = before.answer.stress[new] + np.einsum("pij,pj->pi", tangents[place], change)
+    failed[new] = points.failed[new]
+    index[new] = len(answer.tangents) + place
+    return PointAnswer(stress, replace(answer.state, failed=failed), index, np.concatenate([answer.tangents, tangents]))
 
 
 class QuasiStatic:
@@ -145,10 +181,12 @@ class QuasiStatic:
     tolerance : float
         On `Equilibrium.residual`.
     iterations : int
-        After which an increment is given up.
+        After which an increment is given up; with cohesive layers, after so many in which nothing new has failed.
     viscosity : float
         Load over which the damage of the cohesive layers follows its own value: with an increment d of the load it goes
         d / (d + viscosity) of the way. 0 for none. What it takes is `Equilibrium.viscous_energy`.
+    factoriser : Factoriser, optional
+        SuperLU where none is given.
 
     Attributes
     ----------
@@ -162,7 +200,8 @@ class QuasiStatic:
     Raises
     ------
     ValueError
-        If the mesh has cohesive layers and there is no law, or a number is out of range.
+        If the mesh has cohesive layers and there is no law, a number is out of range, the laminate is not held well
+        enough, or it has stress at rest and a lever.
     """
 
     def __init__(
@@ -177,6 +216,7 @@ class QuasiStatic:
         tolerance: float = 1e-8,
         iterations: int = 100,
         viscosity: float = 0.0,
+        factoriser: Factoriser | None = None,
     ) -> None:
         if not viscosity >= 0.0:
             raise ValueError(f"viscosity is {viscosity}; it must be at least 0")
@@ -199,11 +239,12 @@ class QuasiStatic:
         if lever is not None:
             groups.append(lever.elements())
         self._pattern = SparsePattern(groups, len(mesh.nodes))
-        self.system = HeldSystem(self._pattern.size, grips.freedoms)
+        self.system = HeldSystem(self._pattern.size, grips.freedoms, factoriser)
         angles, which = np.unique(mesh.angles, return_inverse=True)
         self._turns = np.array([strain_to_ply(angle) for angle in angles])
         self._angle = which.reshape(-1)[mesh.ply]  # of each brick, its row of the turns
         self.element_length = self._lengths()
+        self._rest, self._rest_load = self._at_rest()
         self.watch: Callable[[int], None] = lambda iteration: None
         self.seconds: dict[str, float] = {}
 
@@ -218,18 +259,45 @@ class QuasiStatic:
         return self.system.factorisations
 
     def rest(self) -> Equilibrium:
-        """The unloaded laminate."""
-        count = len(self.mesh.bricks)
-        return Equilibrium(
+        """The laminate without load, under the stresses that its material has without strain, if any."""
+        return self._rest
+
+    def _at_rest(self) -> tuple[Equilibrium, float]:
+        """`rest`, where nothing has failed, and the load at which grips would hold it from a laminate without strain.
+
+        A laminate cools before it is gripped: its ends have come nearer, and no force acts on them.
+        """
+        count = len(self.mesh.bricks) * POINTS
+        intact = self.material.intact(count)
+        rest = Equilibrium(
             load=0.0,
             displacement=np.zeros_like(self.mesh.nodes),
-            stress=np.zeros((count, POINTS, 6)),
-            points=self.material.fresh(count * POINTS),
+            stress=np.zeros((len(self.mesh.bricks), POINTS, 6)),
+            points=self.material.fresh(count),
             layers=np.zeros((len(self.mesh.layers), 4, 2)),
             force=0.0,
             iterations=0,
             residual=0.0,
         )
+        if not intact.stress.any():
+            return rest, 0.0
+        if self.lever is not None:
+            raise ValueError("lever is given; the material has stress without strain, and a lever would feel it")
+        aim = Aim(rest, 0.0, 1.0)
+        response = self._assembled(intact, self.ply_strains(rest.displacement), rest.displacement, aim)
+        matrix = self.stiffness(response, secant=False)
+        held, per_load = self.grips.freedoms, self.grips.per_load
+        pulled = np.zeros(self._pattern.size)
+        pulled[held] = per_load
+        cooled = self.system.solve(matrix, -response.force)
+        pulled += self.system.solve(matrix, -(matrix @ pulled))
+        stiffness = float((matrix @ pulled)[held] @ per_load)
+        load = -float((matrix @ cooled + response.force)[held] @ per_load) / stiffness if stiffness > 0.0 else 0.0
+        displacement = (cooled + load * pulled).reshape(-1, 3)
+        strain = self.ply_strains(displacement)
+        answer = replace(intact, stress=intact.stress + np.einsum("pij,pj->pi", intact.tangents[intact.index], strain))
+        stress = self._assembled(answer, strain, displacement, aim).stress
+        return replace(rest, displacement=displacement, stress=stress), load
 
     def advance(self, start: Equilibrium, load: float) -> Equilibrium:
         """Find the equilibrium at another load; `start` stays as it is.
@@ -239,25 +307,38 @@ class QuasiStatic:
         NotConverged
             If there is none within the iterations.
         """
+        self.system.begin()
         displacement = start.displacement.reshape(-1).copy()
         points = start.points
-        target = load * self.grips.per_load
+        target = (load + self._rest_load) * self.grips.per_load
         aim = Aim(start, load, self._relaxation(load - start.load))
         step: NDArray[np.float64] | None = None
         slope = rounding = 0.0
-        for iteration in range(1, self.iterations + 1):
+        before: Response | None = None
+        acceleration = Acceleration()
+        iteration = since = 0  # since points have failed in a laminate with layers
+        while since < self.iterations:
+            iteration, since = iteration + 1, since + 1
             self.watch(iteration)
-            response = self.respond(displacement, points, aim)
-            if step is not None and iteration > 2:
-                displacement, response = self._shortened(displacement, step, slope, response, points, aim)
+            response = self.respond(displacement, points, aim, before)
+            if step is not None and since > 2:
+                displacement, response = self._shortened(displacement, step, slope, response, points, aim, before)
+            worst, out = self._out_of_balance(response)
+            if response.fails_later and (out <= max(_STAGE, self.tolerance) or since > _WAIT):
+                points = replace(start.points, failed=response.failed)
+                response, since = self.respond(displacement, points, aim), 1
+                worst, out = self._out_of_balance(response)
+            if not np.array_equal(response.answer.state.failed, points.failed):
+                acceleration.forget()
             # What failed for good stays; the rest of the state is that of the last increment.
             points = replace(start.points, failed=response.answer.state.failed)
-            worst = float(np.abs(response.force[self.system.free]).max(initial=0.0))
-            out = worst / response.largest if worst > 0.0 else 0.0
-            if step is not None and (out <= self.tolerance or worst <= rounding):
+            if self.material.softens and since > _PATIENCE:
+                points = response.answer.state
+            if step is not None and not response.fails_later and (out <= self.tolerance or worst <= rounding):
                 return self.equilibrium(aim, displacement, response, iteration, out)
+            before = response if self.layers is not None else None
             with self._timed("assembly"):
-                matrix = self.stiffness(response, secant=(iteration - 1) // _TURN % 2 == 1)
+                matrix = self.stiffness(response, secant=(since - 1) // _TURN % 2 == 1)
             rounding = _ROUNDING * float(np.abs(matrix.data).max() * np.abs(displacement).max())
             right = -response.force
             if step is None:
@@ -272,6 +353,8 @@ class QuasiStatic:
                     if iteration == 1 and start.load == 0.0:
                         raise  # not held well enough, whatever the increment
                     raise NotConverged(f"no equilibrium at load {load:g}: {error}", iteration) from None
+            if self.material.softens and since <= _PATIENCE:
+                step = acceleration.mixed(displacement, step, right)
             slope = -float(step @ right)
             displacement = displacement + step
             if not np.isfinite(displacement).all():
@@ -281,6 +364,11 @@ class QuasiStatic:
             "largest force",
             iteration,
         )
+
+    def _out_of_balance(self, response: Response) -> tuple[float, float]:
+        """Largest force out of balance, N, and its share of the largest."""
+        worst = float(np.abs(response.force[self.system.free]).max(initial=0.0))
+        return worst, worst / response.largest if worst > 0.0 else 0.0
 
     def _relaxation(self, increment: float) -> float:
         return abs(increment) / (abs(increment) + self.viscosity) if self.viscosity else 1.0
@@ -293,6 +381,7 @@ class QuasiStatic:
         response: Response,
         points: PointState,
         aim: Aim,
+        before: Response | None,
     ) -> tuple[NDArray[np.float64], Response]:
         """The step that led to a displacement, shortened where it went too far; `slope` is the work at its start."""
         whole, low, high = 1.0, 0.0, 1.0
@@ -304,7 +393,7 @@ class QuasiStatic:
             # Between `low` and `high` the work changes its sign.
             part = low + (high - low) * min(max(work_low / (work_low - work_high), 0.1), 0.9)
             moved = displacement + (part - whole) * step
-            found = self.respond(moved, points, aim)
+            found = self.respond(moved, points, aim, before)
             work = float(step @ found.force)
             displacement, response, whole = moved, found, part
             if work < 0.0:
@@ -321,14 +410,31 @@ class QuasiStatic:
         yield
         self.seconds[part] = self.seconds.get(part, 0.0) + time.perf_counter() - began
 
-    def respond(self, displacement: NDArray[np.float64], points: PointState, aim: Aim) -> Response:
-        """Forces of all elements at displacements, shape (3 nodes,), with points that have failed so far."""
+    def respond(
+        self, displacement: NDArray[np.float64], points: PointState, aim: Aim, before: Response | None = None
+    ) -> Response:
+        """Forces of all elements at displacements, shape (3 nodes,), with points that have failed so far.
+
+        Where there is a response `before`, points that would fail anew go on from it with their tangents there.
+        """
         nodal = displacement.reshape(-1, 3)
-        strain = self.bricks.strains(nodal)
-        turns = self._turns[self._angle]
-        local = np.einsum("eij,epj->epi", turns, strain).reshape(-1, 6)
-        answer = self.material.respond(np.ascontiguousarray(local), points, self.element_length)
-        stress = np.einsum("eji,epj->epi", turns, answer.stress.reshape(strain.shape))
+        strain = self.ply_strains(nodal)
+        answer = self.material.respond(strain, points, self.element_length)
+        failed = answer.state.failed
+        if before is not None:
+            answer = _held_back(answer, strain, points, before)
+        return replace(self._assembled(answer, strain, nodal, aim), failed=failed)
+
+    def ply_strains(self, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Strains of all points in the axes of their plies, shape (8 bricks, 6)."""
+        local = np.einsum("eij,epj->epi", self._turns[self._angle], self.bricks.strains(displacement))
+        return np.ascontiguousarray(local.reshape(-1, 6))
+
+    def _assembled(
+        self, answer: PointAnswer, strain: NDArray[np.float64], nodal: NDArray[np.float64], aim: Aim
+    ) -> Response:
+        """Forces of all elements where the material has answered; `nodal` are displacements, shape (nodes, 3)."""
+        stress = np.einsum("eji,epj->epi", self._turns[self._angle], answer.stress.reshape(-1, POINTS, 6))
         forces = [self.bricks.forces(stress)]
         separation = None
         if self.layers is not None:
@@ -340,7 +446,7 @@ class QuasiStatic:
         largest = max(float(np.abs(force).max()), 1e-4 * max(float(np.abs(part).max(initial=0.0)) for part in forces))
         if self.lever is not None:
             largest = max(largest, float(np.abs(forces[-1]).max()))
-        return Response(answer, stress, separation, force, largest)
+        return Response(strain, answer.state.failed, answer, stress, separation, force, largest)
 
     def stiffness(self, response: Response, *, secant: bool) -> scipy.sparse.csc_matrix:
         """Derivative of the forces, or with the secant stiffness of the layers."""

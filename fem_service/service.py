@@ -12,15 +12,19 @@ import zmq
 from numpy.typing import NDArray
 
 from fem_service.cell_client import CellClient
+from fem_service.factorisation import fastest
 from fem_service.hexahedron import POINTS
-from fem_service.increments import Steps, next_increment
+from fem_service.increments import Increment, Steps, next_increment
+from fem_service.path_following import PathIncrement, next_on_path
 from fem_service.point_material import PointState
-from fem_service.problem import cell_of, grips_of, law_of, mesh_of, shares
+from fem_service.problem import cell_of, dissipation_of, grips_of, law_of, mesh_of, shares
 from fem_service.quasi_static import Equilibrium, NotConverged, QuasiStatic
+from fem_service.watched_bricks import watch
 from protocol import structure as s
 from protocol.client import Client
 from protocol.errors import ProtocolError
 from protocol.messages import CheckpointReply, Empty, FieldsReply, FieldsRequest, Restored, RestoreRequest
+from protocol.security import SecurityError, keys_of_link
 from protocol.service import Capabilities, Service
 from protocol.version import package_version
 
@@ -37,18 +41,54 @@ class _Problem:
     laminate: QuasiStatic
     cell: CellClient
     steps: Steps
-    force_share: float
+    dissipation: float | None
+    share: float
     final_strain: float
     phase: NDArray[np.int64]
     materials: int
     plies: int
     equilibrium: Equilibrium
     size: float
+    work: float = 0.0
+    by_dissipation: bool = False
+
+    def next(self, largest: float) -> Increment:
+        """The next increment, by the load or on the path."""
+        if self.dissipation is None:
+            return next_increment(self.laminate, self.equilibrium, min(self.size, largest), 1.0, self.steps)
+        return next_on_path(
+            self.laminate,
+            self.equilibrium,
+            self.size,
+            1.0,
+            self.steps,
+            self.dissipation,
+            largest=min(self.steps.most, largest),
+            by_dissipation=self.by_dissipation,
+        )
+
+    def take(self, made: Increment) -> None:
+        """Go to the end of an increment."""
+        before, after = self.equilibrium, made.equilibrium
+        self.work += 0.5 * (before.force + after.force) * (after.load - before.load)
+        self.equilibrium, self.size = after, made.next_size
+        self.by_dissipation = isinstance(made, PathIncrement) and made.by_dissipation
 
     def force(self) -> float:
         """Force on the whole laminate, N: the work of the grips over the elongation that makes it."""
         elongation = 2.0 * float(np.abs(self.laminate.grips.per_load).max())
-        return self.equilibrium.force * self.force_share / elongation
+        return self.equilibrium.force * self.share / elongation
+
+    def bricks(self, watched: list[int]) -> NDArray[np.int64]:
+        """Numbers of the bricks that are watched; ``bad_field`` where there is no such brick."""
+        count = len(self.laminate.mesh.bricks)
+        for place, brick in enumerate(watched):
+            if brick >= count:
+                where = f"watched.{place}"
+                raise ProtocolError(
+                    "bad_field", f"{where}: there is no brick {brick}, only 0 to {count - 1}", field=where
+                )
+        return np.array(watched, dtype=np.int64)
 
     def failures(self, failed: NDArray[np.uint8]) -> NDArray[np.int64]:
         """Subcells by brick and material, shape (bricks, materials), of the bits that are set at all points."""
@@ -108,11 +148,11 @@ class LaminateService(Service):
 
     def capabilities(self) -> Capabilities:
         """Words of this backend."""
-        return {"fields": list(FIELDS)}
+        return {"fields": list(FIELDS), "solver": [fastest().name]}
 
     def configure(self, request: s.StructureConfigure) -> s.StructureConfigured:
         """Mesh the laminate and register its cell."""
-        mesh, law = mesh_of(request), law_of(request)
+        mesh, law, dissipation = mesh_of(request), law_of(request), dissipation_of(request)
         cell = CellClient(lambda: self._client(request.micromechanics), cell_of(request), request.temperature)
         try:
             laminate = QuasiStatic(
@@ -123,11 +163,13 @@ class LaminateService(Service):
                 mean_dilatation=request.mesh.mean_dilatation,
                 tolerance=request.increments.tolerance,
                 iterations=request.increments.iterations,
+                viscosity=request.increments.viscosity,
+                factoriser=fastest(),
             )
         except ValueError as error:  # elements that are turned inside out
             cell.close()
             raise ProtocolError("bad_field", f"mesh: {error}", field="mesh") from None
-        force_share, section = shares(request)
+        share, section = shares(request)
         sizes = request.increments
         steps = Steps(sizes.first, sizes.least, sizes.most)
         # A refused request leaves the laminate that there was.
@@ -137,7 +179,8 @@ class LaminateService(Service):
             laminate=laminate,
             cell=cell,
             steps=steps,
-            force_share=force_share,
+            dissipation=dissipation,
+            share=share,
             final_strain=request.final_strain,
             phase=request.phase.reshape(-1).copy(),
             materials=len(request.materials),
@@ -163,21 +206,24 @@ class LaminateService(Service):
         before = problem.equilibrium
         if before.load >= 1.0:
             raise ProtocolError("bad_field", "the whole load acts already", field="largest")
+        bricks = problem.bricks(request.watched)
         laminate, cell = problem.laminate, problem.cell
         cell.queried = cell.spared = 0
-        cell.seconds = cell.wire = 0.0
+        cell.link.seconds = cell.link.wire = 0.0
         laminate.seconds.clear()
         began = time.perf_counter()
         laminate.watch = lambda done: self.activity.progress(done, laminate.iterations, "finding the equilibrium")
         try:
-            made = next_increment(laminate, before, min(problem.size, request.largest), 1.0, problem.steps)
+            made = problem.next(request.largest)
         except NotConverged as error:
             raise ProtocolError("solver_failed", str(error), field="increments", step=self._step) from None
         after = made.equilibrium
-        problem.equilibrium, problem.size = after, made.next_size
+        # Before the increment counts: the microstructure may be gone.
+        watched = watch(laminate, after, bricks, cell.localise) if len(bricks) else None
+        problem.take(made)
         self._step += 1
-        spent = {**laminate.seconds, "micromechanics": cell.seconds, "wire": cell.wire}
-        spent["other"] = max(0.0, time.perf_counter() - began - sum(spent.values()) + cell.wire)
+        spent = {**laminate.seconds, "micromechanics": cell.link.seconds, "wire": cell.link.wire}
+        spent["other"] = max(0.0, time.perf_counter() - began - sum(spent.values()) + cell.link.wire)
         return s.StructureAdvanced(
             step=self._step,
             load=after.load,
@@ -192,6 +238,11 @@ class LaminateService(Service):
             new_failures=problem.new_failures(before),
             layer_damage=problem.layer_damage(),
             seconds=spent,
+            work=problem.work * problem.share,
+            viscous_energy=after.viscous_energy * problem.share,
+            watched_strain=watched.strain if watched else None,
+            watched_stress=watched.stress if watched else None,
+            watched_subcells=watched.subcells if watched else None,
         )
 
     def fields(self, request: FieldsRequest) -> FieldsReply:
@@ -215,13 +266,22 @@ class LaminateService(Service):
         """The whole state."""
         problem = self._configured()
         now = problem.equilibrium
-        numbers = np.array([now.load, now.force, now.residual, problem.size, float(self._step)])
-        return CheckpointReply(step=self._step, state={**_arrays(now), "numbers": numbers})
+        numbers = [
+            now.load,
+            now.force,
+            now.residual,
+            now.viscous_energy,
+            problem.size,
+            problem.work,
+            float(problem.by_dissipation),
+            float(self._step),
+        ]
+        return CheckpointReply(step=self._step, state={**_arrays(now), "numbers": np.array(numbers)})
 
     def restore(self, request: RestoreRequest) -> Restored:
         """Set the state."""
         problem = self._configured()
-        wanted = {**_arrays(problem.laminate.rest()), "numbers": np.zeros(5)}
+        wanted = {**_arrays(problem.laminate.rest()), "numbers": np.zeros(8)}
         for name, like in wanted.items():
             given = request.state.get(name)
             if given is None or given.shape != like.shape or given.dtype != like.dtype:
@@ -233,14 +293,14 @@ class LaminateService(Service):
             if given.dtype.kind == "f" and not np.isfinite(given).all():
                 raise ProtocolError("bad_field", f"state: {name} holds a number that is not finite", field="state")
         given_state = {name: request.state[name].copy() for name in wanted}
-        load, force, residual, size, step = given_state["numbers"].tolist()
+        load, force, residual, viscous, size, work, by_dissipation, step = given_state["numbers"].tolist()
         if request.step != step:
             raise ProtocolError(
                 "bad_field", f"step is {request.step}; the state is that of step {step:g}", field="step"
             )
         if not (0.0 <= load <= 1.0 and 0.0 < size <= 1.0):
             raise ProtocolError("bad_field", f"state: numbers has load {load:g} and size {size:g}", field="state")
-        problem.size = size
+        problem.size, problem.work, problem.by_dissipation = size, work, bool(by_dissipation)
         problem.equilibrium = Equilibrium(
             load=load,
             displacement=given_state["displacement"],
@@ -250,6 +310,7 @@ class LaminateService(Service):
             force=force,
             iterations=0,
             residual=residual,
+            viscous_energy=viscous,
         )
         self._step = request.step
         return Restored(step=self._step)
@@ -262,11 +323,19 @@ class LaminateService(Service):
     def _client(self, endpoint: str) -> Client:
         """A new client of the micromechanics service, which `abort` can end while it waits."""
         try:
-            return Client.connect(endpoint, "micromechanics", watch=self._look, deadline=CONNECT_SECONDS)
+            return Client.connect(
+                endpoint,
+                "micromechanics",
+                keys=keys_of_link(endpoint, self.link_keys),
+                watch=self._look,
+                deadline=CONNECT_SECONDS,
+            )
         except zmq.ZMQError as error:
             raise ProtocolError(
                 "bad_field", f"micromechanics: {endpoint!r} is no endpoint: {error}", field="micromechanics"
             ) from None
+        except SecurityError as error:
+            raise ProtocolError("bad_field", f"micromechanics: {error}", field="micromechanics") from None
 
     def _look(self) -> None:
         self.activity.progress(self.activity.done, self.activity.total, self.activity.note)

@@ -141,6 +141,8 @@ class Cell:
                 add("allowables", np.array([failure.tension, failure.compression, failure.shear]))
             if material.fracture_energy is not None:
                 add("fracture_energy", np.array([material.fracture_energy]))
+            if material.reduces_strength:
+                digest.update(b"reduces_strength\n")
             if material.plasticity is not None:
                 add("plasticity", np.array([material.plasticity.yield_stress, material.plasticity.hardening]))
         return digest.hexdigest()

@@ -15,6 +15,7 @@ A file has a table ``[cell]`` and one table ``[materials.NAME]`` for each phase:
     [materials.matrix]
     from_file = "epoxy.toml"           # a constituent file, relative to this one
     fracture_energy = "200 J/m^2"
+    reduces_strength = true            # in elements too long for that energy, instead of refusing them
     [[materials.matrix.failure]]       # replaces all allowables of the entry
     criterion = "maximum_stress"
     tension = "90 MPa"

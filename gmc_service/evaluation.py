@@ -197,14 +197,19 @@ class Evaluator:
         lengths: NDArray[np.float64],
     ) -> Answer:
         """Take points at which nothing softens from the table, and the others one by one."""
+        failed = cell.failed_by_history(failed, history)
         stress, failed, entry, tangents = self._eliminated(strain, temperature, failed, cascade=False)
         history = history.copy()
-        active = np.flatnonzero((entry == WOULD_FAIL) | history.any(axis=1))
+        begun = (entry == WOULD_FAIL) | history.any(axis=1)
+        active = np.flatnonzero(begun | cell.may_soften_early(lengths, temperature))
         flags = unpack_mask(failed[active], self.cell.subcells)
-        stress[active], flags, history[active], own = cell.evaluate(
+        answer, flags, damaged, own = cell.evaluate(
             strain[active], temperature, flags, history[active], lengths[active]
         )
-        failed[active] = pack_mask(flags)
+        # Where nothing has softened after all, the table's answer stands.
+        changed = begun[active] | damaged.any(axis=1)
+        active, own = active[changed], own[changed]
+        stress[active], history[active], failed[active] = answer[changed], damaged[changed], pack_mask(flags[changed])
         entry[active] = len(tangents) + np.arange(len(active))
         return Answer(stress, failed, history, *_numbered(entry, np.concatenate([tangents, own])))
 
@@ -257,6 +262,7 @@ class Evaluator:
             shaped = history.reshape(len(strain), self.cell.subcells, PLASTIC_VALUES)
             return self._plastic.localise(strain, temperature, flags, shaped)
         if self._softening is not None:
+            failed = self._softening.failed_by_history(failed, history)
             return self._softening.localise(strain, temperature, unpack_mask(failed, self.cell.subcells), history)
         states = FailedCell(self.cell, self.method, temperature)
         change = temperature - self.cell.stress_free_temperature

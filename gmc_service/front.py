@@ -23,6 +23,10 @@ from protocol.version import package_version
 
 #: A query of fewer points than twice this goes to one worker whole: another's round trip costs more than it spares.
 LEAST_POINTS: Final = 4096
+#: The same where a point costs fifty times as much and more: cells that soften or flow, and those of many subcells.
+LEAST_SLOW_POINTS: Final = 1024
+#: Subcells from which a failed cell is computed at each point and not found in a table.
+MANY_SUBCELLS: Final = 16
 #: Most points of one part, so that a part fits into a message and a lost one costs little.
 MOST_POINTS: Final = 250_000
 
@@ -146,7 +150,7 @@ class Front(Service):
         """Return the answers to the parts of a query, in the order of its points."""
         definition = self._definition(request.cell)
         points = len(request.strain)
-        bounds = equal_bounds(points, parts_of(points, self._executor.workers))
+        bounds = equal_bounds(points, parts_of(points, self._executor.workers, slow=is_slow(definition)))
         answers = self._answers([Job(operation, part, reply, definition) for part in split(request, bounds)])
         return [answer for answer in answers if isinstance(answer, reply)]
 
@@ -162,9 +166,15 @@ class Front(Service):
         return answers
 
 
-def parts_of(points: int, workers: int) -> int:
+def is_slow(cell: m.RegisterCell) -> bool:
+    """Return whether a point of a cell takes tens of microseconds, not tenths of one."""
+    bends = any(material.fracture_energy is not None or material.plasticity is not None for material in cell.materials)
+    return bends or cell.phase.size > MANY_SUBCELLS
+
+
+def parts_of(points: int, workers: int, *, slow: bool = False) -> int:
     """Return into how many parts a query is split: as many for each worker, none too large; a small query is one."""
-    most = max(1, points // LEAST_POINTS)
+    most = max(1, points // (LEAST_SLOW_POINTS if slow else LEAST_POINTS))
     return min(most, workers * max(1, -(-points // (workers * MOST_POINTS))))
 
 

@@ -312,7 +312,7 @@ def solve_subcells(heights, widths, stiffness, eigenstress, macroscopic):  # typ
             n = beta * columns + gamma
             area = heights[beta] * widths[gamma]
             compliance[n] = np.linalg.inv(np.ascontiguousarray(stiffness[n, 1:, 1:]))
-            _places(beta, gamma, rows, columns, place)
+            places(beta, gamma, rows, columns, place)
             for load in range(loads):
                 for i in range(5):
                     total = 0.0
@@ -343,7 +343,7 @@ def solve_subcells(heights, widths, stiffness, eigenstress, macroscopic):  # typ
     for beta in range(rows):
         for gamma in range(columns):
             n = beta * columns + gamma
-            _places(beta, gamma, rows, columns, place)
+            places(beta, gamma, rows, columns, place)
             for load in range(loads):
                 strain[n, 0, load] = macroscopic[0, load]
                 for i in range(5):
@@ -355,7 +355,7 @@ def solve_subcells(heights, widths, stiffness, eigenstress, macroscopic):  # typ
 
 
 @nb.njit(nogil=True, cache=True)
-def _places(beta, gamma, rows, columns, place):  # type: ignore[no-untyped-def]
+def places(beta, gamma, rows, columns, place):  # type: ignore[no-untyped-def]
     """Unknowns of the tractions 22, 33, 23, 13, 12 of a subcell: 22 and 12 of its column, 33 and 13 of its row."""
     place[0] = gamma
     place[1] = columns + beta

@@ -96,6 +96,9 @@ class Material:
     expansion_known : bool
         False where the source gives no thermal expansion; `expansion` is then zero, and good for no temperature but
         the stress-free one.
+    reduces_strength : bool
+        With a fracture energy: in an element so long that it would store more than its crack can take, the strength is
+        lowered (Bazant and Oh 1983). Otherwise such an element is refused.
 
     Raises
     ------
@@ -112,6 +115,7 @@ class Material:
     plasticity: Plasticity | None = None
     density: float | None = None
     expansion_known: bool = True
+    reduces_strength: bool = False
 
     def __post_init__(self) -> None:
         count = len(self.temperatures)

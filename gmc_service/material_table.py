@@ -68,6 +68,7 @@ def read_material(table: Table, name: str) -> Material | None:
     density = table.quantity("density", "density", required=False)
     failures = [_failure(one) for one in table.tables("failure")]
     fracture_energy = table.quantity("fracture_energy", "energy per area", required=False)
+    reduces_strength = table.truth("reduces_strength")
     plasticity = _plasticity(table.table("plasticity", required=False))
     table.finish()
     if len(table.mistakes) > before or kind is None:
@@ -82,6 +83,7 @@ def read_material(table: Table, name: str) -> Material | None:
             expansion=_expansion(kind, {k: v for k, v in expansions.items() if v is not None}, count),
             failures=tuple(one for one in failures if one is not None),
             fracture_energy=fracture_energy,
+            reduces_strength=reduces_strength,
             plasticity=plasticity,
             density=density,
             expansion_known=bool(expansions),

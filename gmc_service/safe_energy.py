@@ -35,10 +35,13 @@ def safe_energy(cell: Cell, method: str, temperature: float) -> float:
     -------
     float
         J/m^3: half of strain times B* times strain. Infinite where nothing has an allowable, 0 where the cell is
-        stressed by itself, since the temperature is not the stress-free one.
+        stressed by itself, since the temperature is not the stress-free one, and where a strength depends on the
+        element, since a material reduces it.
     """
     stiffness, expansion = cell.stiffness_at(temperature), cell.expansion_at(temperature)
     if temperature != cell.stress_free_temperature and expansion.any():
+        return 0.0
+    if any(material.reduces_strength and material.fracture_energy is not None for material in cell.materials):
         return 0.0
     found = find_method(method)(cell.heights, cell.widths, stiffness, expansion)
     # From x, of which half the square is the energy, to the macroscopic strain.

@@ -101,7 +101,7 @@ class MicromechanicsService(Service):
             history=_joined([answer.history for answer in answers]),
             tangent_index=index if request.want_tangent else None,
             tangents=tangents if request.want_tangent else None,
-            new_failures=_bits(now) - _bits(failed),
+            new_failures=_bits(now & ~failed),
         )
 
     def _parts(
@@ -194,6 +194,7 @@ def definition_of(cell: Cell) -> m.RegisterCell:
                 expansion=material.expansion.tolist(),
                 failures=failures,
                 fracture_energy=material.fracture_energy,
+                reduces_strength=material.reduces_strength,
                 plasticity=None
                 if flow is None
                 else m.MaterialPlasticity(yield_stress=flow.yield_stress, hardening=flow.hardening),
@@ -255,6 +256,7 @@ def _material(given: m.CellMaterial) -> Material:
             for one in given.failures
         ),
         fracture_energy=given.fracture_energy,
+        reduces_strength=given.reduces_strength,
         plasticity=None if flow is None else Plasticity(flow.yield_stress, flow.hardening),
     )
 

@@ -20,9 +20,15 @@ column for axis 2, of the row for axis 3. A crack then spends G_c once, in a thi
 subdivide a subcell changes nothing. The normal is that of the component that is nearest to its allowable when r reaches
 one: 1 for 11; 2 for 22 and 12; 3 for 33 and 13; for 23, whose crack is inclined to both, the larger share counts.
 
+An element longer than 2 E G_c / (strength^2 share) stores more than its crack can take. It is refused, or, where the
+material reduces its strength, each allowable stress is lowered to sqrt(2 E G_c / (L share)): the energy is then right
+and the subcell fails at once (Bazant and Oh 1983, section 7). Under several stresses at once the limit is shorter; the
+subcell then fails at once at its own strength.
+
 A point's damages are found by repetition: strains of the subcells with the damages so far, damages from these strains,
 and so on until none rises. None falls, so in a large step a subcell may be damaged that in small steps the softening of
-another would have unloaded first; elimination has the same property.
+another would have unloaded first; elimination has the same property. Where a subcell is about to snap through, rises
+hardly change from one round to the next; after many rounds one in a few goes further, towards where they would end.
 """
 
 from __future__ import annotations
@@ -32,14 +38,25 @@ from typing import Final
 import numba as nb
 import numpy as np
 
+from gmc_service.damaged_tractions import (
+    add_stress,
+    factorise,
+    mechanical_strains,
+    right_side,
+    solve,
+    traction_compliances,
+)
 from gmc_service.failure import FAILS_AT, HASHIN, MAXIMUM_STRAIN, failure_index, hashin_modes
-from gmc_service.gmc_reduced import solve_subcells
 
 #: Values of a softening subcell in the history of a point: damage d, and r_f once r has reached one (0 before).
 VALUES: Final = 2
 #: The repetition ends when no damage rises by more than this, and is given up after so many rounds.
 _SETTLED: Final = 1e-12
 _ROUNDS: Final = 5000
+#: After so many rounds one in some goes this part of the way to where the last two rises, in geometric series, end.
+_PATIENCE: Final = 100
+_ONE_IN: Final = 4
+_STRETCH: Final = 0.8
 
 
 @nb.njit(nogil=True, cache=True)
@@ -106,19 +123,7 @@ def length_share(component, share2, share3):  # type: ignore[no-untyped-def]
 
 
 @nb.njit(nogil=True, cache=True)
-def _damaged(stiffness, kept, free, damaged, eigenstress):  # type: ignore[no-untyped-def]
-    """Fill stiffness and thermal eigenstress of the subcells with what is kept of them."""
-    for n in range(len(kept)):
-        for i in range(6):
-            total = 0.0
-            for j in range(6):
-                damaged[n, i, j] = kept[n] * stiffness[n, i, j]
-                total += damaged[n, i, j] * free[n, j]
-            eigenstress[n, i, 0] = -total
-
-
-@nb.njit(nogil=True, cache=True)
-def _look(stiffness, free, checks, strain, energy, failed, index, governing, load):  # type: ignore[no-untyped-def]
+def _look(stiffness, checks, strain, energy, failed, index, governing, load):  # type: ignore[no-untyped-def]
     """Look at every check with the effective stresses: fill the largest index of each softening subcell and its check.
 
     Returns whether a subcell without fracture energy has failed; `load` is room.
@@ -130,7 +135,7 @@ def _look(stiffness, free, checks, strain, energy, failed, index, governing, loa
         n = subcell[check]
         if failed[n]:
             continue
-        _load(stiffness, free, strain, criterion[check], n, load)
+        _load(stiffness, strain, criterion[check], n, load)
         one = failure_index(criterion[check], load[0], load[1], load[2], load[3], load[4], load[5], rates, check)
         if not np.isfinite(energy[n]):
             if one >= FAILS_AT:
@@ -142,15 +147,15 @@ def _look(stiffness, free, checks, strain, energy, failed, index, governing, loa
 
 
 @nb.njit(nogil=True, cache=True)
-def _load(stiffness, free, strain, criterion, n, load):  # type: ignore[no-untyped-def]
+def _load(stiffness, strain, criterion, n, load):  # type: ignore[no-untyped-def]
     """Mechanical strain or effective stress of a subcell, as a criterion takes it."""
     for i in range(6):
         if criterion == MAXIMUM_STRAIN:
-            load[i] = strain[n, i, 0] - free[n, i]
+            load[i] = strain[n, i]
         else:
             total = 0.0
             for j in range(6):
-                total += stiffness[n, i, j] * (strain[n, j, 0] - free[n, j])
+                total += stiffness[n, i, j] * strain[n, j]
             load[i] = total
 
 
@@ -164,6 +169,7 @@ def respond(  # type: ignore[no-untyped-def]
     knock_down,
     energy,
     checks,
+    limits,
     strains,
     lengths,
     failed,
@@ -188,6 +194,8 @@ def respond(  # type: ignore[no-untyped-def]
         Fracture energy, J/m^2; ``inf`` where a subcell does not soften.
     checks : tuple of ndarray
         Subcell, criterion, rates of `failure.Checks`.
+    limits : ndarray of float, shape (checks, 9)
+        Length of an element beyond which the allowable is lowered, m.
     strains : ndarray of float, shape (points, 6)
     lengths : ndarray of float, shape (points,)
         Of the elements, m.
@@ -203,21 +211,37 @@ def respond(  # type: ignore[no-untyped-def]
     int
         Point whose damages did not settle, or -1.
     """
-    count, columns = len(stiffness), len(widths)
+    count, rows, columns = len(stiffness), len(heights), len(widths)
+    unknowns = 2 * (rows + columns) + 1
     kept, index = np.empty(count), np.empty(count)
     governing = np.zeros(count, dtype=np.int64)
-    damaged, eigenstress = np.empty((count, 6, 6)), np.empty((count, 6, 1))
-    load = np.empty(6)
-    unit, none = np.eye(6), np.zeros((count, 6, 6))
+    compliance, coupling = traction_compliances(stiffness)
+    factor, scale = np.empty((unknowns, unknowns)), np.empty(unknowns)
+    first = np.empty(unknowns, dtype=np.int64)
+    right, tractions = np.empty(unknowns), np.empty(unknowns)
+    strain, load, unit, of_unit = np.empty((count, 6)), np.empty(6), np.zeros(6), np.empty(6)
+    none = np.zeros((count, 6))
+    subcell, criterion, whole_rates = checks
+    rates = whole_rates.copy()
+    own_checks = (subcell, criterion, rates)
     for point in range(len(strains)):
-        macroscopic = strains[point].copy().reshape(6, 1)
-        settled = False
-        for _ in range(_ROUNDS):
+        for check in range(len(rates)):
+            for i in range(9):
+                beyond = lengths[point] / limits[check, i]
+                rates[check, i] = whole_rates[check, i] * (np.sqrt(beyond) if beyond > 1.0 else 1.0)
+        right_side(heights, widths, coupling, free, strains[point], right)
+        settled, stretch, before = False, 1.0, np.inf
+        for number in range(_ROUNDS):
             for n in range(count):
                 kept[n] = knock_down if failed[point, n] else 1.0 - damages[point, n, 0]
-            _damaged(stiffness, kept, free, damaged, eigenstress)
-            strain = solve_subcells(heights, widths, damaged, eigenstress, macroscopic)
-            more = _look(stiffness, free, checks, strain, energy, failed[point], index, governing, load)
+            factorise(heights, widths, compliance, kept, factor, first, scale)
+            tractions[:] = right
+            solve(factor, first, scale, tractions)
+            mechanical_strains(
+                rows, columns, compliance, coupling, free, kept, strains[point, 0], tractions, strain
+            )  # fmt: skip
+            more = _look(stiffness, own_checks, strain, energy, failed[point], index, governing, load)
+            rise = 0.0
             for n in range(count):
                 damage = damages[point, n]
                 if failed[point, n] or not np.isfinite(energy[n]):
@@ -225,38 +249,43 @@ def respond(  # type: ignore[no-untyped-def]
                 if damage[1] == 0.0:
                     if index[n] < FAILS_AT:
                         continue
+                    spent = energy[n] / lengths[point]
                     damage[1] = _ratio_failed(
-                        stiffness, free, checks, strain, n, governing[n], index[n], load, energy[n] / lengths[point],
-                        shares[n],
-                    )  # fmt: skip
+                        stiffness, own_checks, strain, n, governing[n], index[n], load, spent, shares[n]
+                    )
                 now = 1.0 - kept_stiffness(max(index[n], 1.0), damage[1], knock_down)
                 if now > damage[0] + _SETTLED:
-                    damage[0] = now
+                    rise = max(rise, now - damage[0])
+                    damage[0] = min(damage[0] + stretch * (now - damage[0]), 1.0 - knock_down)
                     more = True
-                    if now == 1.0 - knock_down:
+                    if damage[0] == 1.0 - knock_down:
                         failed[point, n] = True
             if not more:
                 settled = True
                 break
+            ratio = rise / before if before > 0.0 else np.inf  # only what fails at once has moved
+            before, stretch = rise, 1.0
+            if number >= _PATIENCE and number % _ONE_IN == 0 and ratio < 1.0:
+                stretch = max(1.0, _STRETCH / (1.0 - ratio))
         if not settled:
             return point
-        concentration = solve_subcells(heights, widths, damaged, none, unit)
         stresses[point] = 0.0
-        tangents[point] = 0.0
-        for n in range(count):
-            area = heights[n // columns] * widths[n % columns]
-            for i in range(6):
-                stresses[point, i] += area * eigenstress[n, i, 0]
-                for j in range(6):
-                    stresses[point, i] += area * damaged[n, i, j] * strain[n, j, 0]
-                    for k in range(6):
-                        tangents[point, i, k] += area * damaged[n, i, j] * concentration[n, j, k]
+        add_stress(heights, widths, stiffness, kept, strain, stresses[point])
+        for k in range(6):
+            unit[k] = 1.0
+            right_side(heights, widths, coupling, none, unit, tractions)
+            solve(factor, first, scale, tractions)
+            mechanical_strains(rows, columns, compliance, coupling, none, kept, unit[0], tractions, strain)
+            unit[k] = 0.0
+            of_unit[:] = 0.0
+            add_stress(heights, widths, stiffness, kept, strain, of_unit)
+            tangents[point, :, k] = of_unit
     return -1
 
 
 @nb.njit(nogil=True, cache=True)
 def _ratio_failed(  # type: ignore[no-untyped-def]
-    stiffness, free, checks, strain, n, check, index, load, energy_per_length, shares
+    stiffness, checks, strain, n, check, index, load, energy_per_length, shares
 ):
     """r_f of a subcell whose index has reached one: the energy of its crack over the elastic energy at that moment.
 
@@ -264,10 +293,10 @@ def _ratio_failed(  # type: ignore[no-untyped-def]
     """
     criterion = checks[1][check]
     stored = 0.0
-    _load(stiffness, free, strain, -1, n, load)
+    _load(stiffness, strain, -1, n, load)
     for i in range(6):
-        stored += 0.5 * load[i] * (strain[n, i, 0] - free[n, i])
+        stored += 0.5 * load[i] * strain[n, i]
     stored /= index * index
-    _load(stiffness, free, strain, criterion, n, load)
+    _load(stiffness, strain, criterion, n, load)
     share = length_share(crack_component(criterion, load, checks[2], check), shares[0], shares[1])
     return max(energy_per_length / (share * stored), 1.0)

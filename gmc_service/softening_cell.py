@@ -9,6 +9,7 @@ from gmc_service.cell import Cell
 from gmc_service.component_order import COMPONENTS
 from gmc_service.failure import MAXIMUM_STRAIN, Checks
 from gmc_service.gmc_reduced import solve_subcells
+from gmc_service.mask_table import pack_mask, unpack_mask
 from gmc_service.softening import VALUES, length_share, respond
 
 
@@ -49,6 +50,7 @@ class SofteningCell:
         energies = [np.inf if one.fracture_energy is None else one.fracture_energy for one in cell.materials]
         self.cell = cell
         self._energy = np.array(energies)[cell.phase.reshape(-1)]
+        self._reduces = np.array([one.reduces_strength for one in cell.materials])[cell.phase.reshape(-1)]
         self.subcells = np.flatnonzero(np.isfinite(self._energy))
         self.values = VALUES * len(self.subcells)
         without = np.setdiff1d(self.subcells, checks.subcell)
@@ -61,6 +63,7 @@ class SofteningCell:
         same = cell.phase[..., None] == np.arange(len(cell.materials))
         along2 = np.einsum("b,bgm->gm", self._heights, same)[np.arange(cell.columns)[None, :], cell.phase]
         along3 = np.einsum("g,bgm->bm", self._widths, same)[np.arange(cell.rows)[:, None], cell.phase]
+        self._known_limits = np.nan, np.empty((0, 9))  # of the temperature asked for last
         self._shares = np.stack([along2.reshape(-1), along3.reshape(-1)], axis=1)
 
     def evaluate(
@@ -102,6 +105,7 @@ class SofteningCell:
         point = respond(
             self._heights, self._widths, self._shares, self.cell.stiffness_at(temperature),
             self.cell.thermal_strain_at(temperature), self.cell.knock_down, self._energy, self._checks.arrays,
+            np.where(self._reduces[self._checks.subcell, None], self._limits(temperature), np.inf),
             strain, element_length, failed, damages, stress, tangents,
         )  # fmt: skip
         if point >= 0:
@@ -129,14 +133,25 @@ class SofteningCell:
             stress[point] = np.einsum("nij,nj->ni", damaged, local[point]) + eigenstress
         return stress, local
 
+    def failed_by_history(self, failed: NDArray[np.uint8], history: NDArray[np.float64]) -> NDArray[np.uint8]:
+        """Masks in which a softening subcell has failed where its damage says so, and nowhere else.
+
+        A solver that looks for an equilibrium keeps what has failed from one try to the next, since elimination is for
+        good; a damage that a try has overshot to the end is to come back with the history that the solver starts from.
+        """
+        flags = unpack_mask(failed, self.cell.subcells)
+        flags[:, self.subcells] = self._damages(history)[:, self.subcells, 0] >= 1.0 - self.cell.knock_down
+        return pack_mask(flags)
+
     def checked_length(
         self, element_length: NDArray[np.float64] | None, points: int, temperature: float
     ) -> NDArray[np.float64]:
         """Return the lengths of the elements; refuse those with which a subcell could not soften.
 
         Under one stress alone an element longer than 2 E G_c / strength^2, divided by `softening.length_share`, stores
-        more energy than its crack can take: its stress would have to fall while its strain goes back. Under several
-        stresses at once the limit is lower, and a subcell of a longer element then fails at once.
+        more energy than its crack can take: its stress would have to fall while its strain goes back. A material that
+        reduces its strength there sets no limit. Under several stresses at once the limit is lower, and a subcell of a
+        longer element then fails at once.
 
         Raises
         ------
@@ -167,26 +182,46 @@ class SofteningCell:
 
     def longest_element(self, temperature: float) -> tuple[float, str, str]:
         """Largest element length in m, and the material and component that limit it; see `checked_length`."""
-        found = (np.inf, "", "")
+        limits = np.where(self._reduces[self._checks.subcell, None], np.inf, self._limits(temperature))
+        if not np.isfinite(limits).any():
+            return np.inf, "", ""
+        check, place = np.unravel_index(int(np.argmin(limits)), limits.shape)
+        sense = ("tension", "compression", "shear")[place // 3]
+        name = self.cell.materials[self.cell.phase.reshape(-1)[self._checks.subcell[check]]].name
+        return float(limits[check, place]), name, f"{COMPONENTS[_component(place)]} {sense}"
+
+    def may_soften_early(self, element_length: NDArray[np.float64], temperature: float) -> NDArray[np.bool_]:
+        """Points whose element is so long that a reduced strength governs there, shape (points,)."""
+        limits = self._limits(temperature)[self._reduces[self._checks.subcell]]
+        return np.asarray(element_length > limits.min(initial=np.inf))
+
+    def _limits(self, temperature: float) -> NDArray[np.float64]:
+        """Element length at which one stress alone stores just the energy of a crack, shape (checks, 9), m."""
+        known, limits = self._known_limits
+        if known == temperature:
+            return limits
         compliance = np.linalg.inv(self.cell.stiffness_at(temperature))
+        limits = np.full(self._checks.rates.shape, np.inf)
         for check, n in enumerate(self._checks.subcell):
             if not np.isfinite(self._energy[n]):
                 continue
             for place in np.flatnonzero(self._checks.rates[check]):
-                component = int(place) if place < 3 else int(place) - 3
+                component = _component(place)
                 flexibility = compliance[n, component, component]
                 strength = 1.0 / self._checks.rates[check, place]
                 if self._checks.criterion[check] == MAXIMUM_STRAIN:
                     strength /= flexibility
                 stored = 0.5 * strength**2 * flexibility
-                limit = float(self._energy[n] / (stored * length_share(component, *self._shares[n])))
-                if limit < found[0]:
-                    sense = ("tension", "compression", "shear")[place // 3]
-                    name = self.cell.materials[self.cell.phase.reshape(-1)[n]].name
-                    found = (limit, name, f"{COMPONENTS[component]} {sense}")
-        return found
+                limits[check, place] = self._energy[n] / (stored * length_share(component, *self._shares[n]))
+        self._known_limits = temperature, limits
+        return limits
 
     def _damages(self, history: NDArray[np.float64]) -> NDArray[np.float64]:
         damages = np.zeros((len(history), self.cell.subcells, VALUES))
         damages[:, self.subcells] = history.reshape(len(history), len(self.subcells), VALUES)
         return damages
+
+
+def _component(place: int | np.integer) -> int:
+    """Component of an allowable: tension along 1, 2, 3, compression along 1, 2, 3, shear 23, 13, 12."""
+    return int(place) if place < 3 else int(place) - 3

@@ -116,6 +116,16 @@ class Table:
             return None
         return str(value)
 
+    def truth(self, key: str) -> bool:
+        """Whether a key is true; false where it is missing."""
+        if not self._has(key, None):
+            return False
+        value = self.values[key]
+        if not isinstance(value, bool):
+            self.refuse(key, "must be true or false")
+            return False
+        return value
+
     def raw(self, key: str) -> Any:
         """A value as it is, None where there is none; the caller checks it."""
         self._known.append(key)

@@ -18,11 +18,12 @@ from .errors import SolverError
 from .grid import Grid
 from .hierarchy import HierarchicalGrid
 from .hierarchy_filling import fill_hierarchy
+from .holes import Hole, cut_holes
 from .k_field import CrackTipField
 from .loads import AbsorbingEdge, BodyForce, Traction
 from .material import Material, MaterialError
 from .material_points import Body, fill_rectangle, fill_region
-from .materials import IsotropicElastic, J2Plasticity, NeoHookean, OrthotropicElastic
+from .materials import IsotropicElastic, J2Plasticity, Laminate, NeoHookean, OrthotropicElastic
 from .overlap import Overlap, OverlapError, cut_overlaps
 from .scheme import Scheme
 from .set_up import largest_time_step
@@ -44,8 +45,10 @@ __all__ = [
     "FieldCondition",
     "Grid",
     "HierarchicalGrid",
+    "Hole",
     "IsotropicElastic",
     "J2Plasticity",
+    "Laminate",
     "Material",
     "MaterialError",
     "MaterialPointSolver",
@@ -63,6 +66,7 @@ __all__ = [
     "Table",
     "Tip",
     "Traction",
+    "cut_holes",
     "cut_overlaps",
     "fill_hierarchy",
     "fill_rectangle",

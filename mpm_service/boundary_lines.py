@@ -339,6 +339,16 @@ def accelerate_lines(
 
 
 @njit(cache=True, nogil=True)
+def hold_halfway(lines: Lines, made: int, component: IntArray, keep: float, velocity: FloatArray) -> None:
+    """Take from velocities halfway through a step what undamping gave the prescribed part, which is not damped."""
+    share = 0.5 * (1.0 / keep - 1.0)
+    for i in range(made):
+        comp = component[lines.condition[i]]
+        for c in range(lines.length[i]):
+            velocity[lines.node[i, c], comp] -= share * (1.0 - lines.ratio[i, c]) * lines.after[i]
+
+
+@njit(cache=True, nogil=True)
 def _set_free(
     lines: Lines, made: int, component: IntArray, prescribed: FloatArray, momentum: FloatArray, velocity: FloatArray
 ) -> None:

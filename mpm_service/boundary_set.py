@@ -8,7 +8,17 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .boundary_lines import FIELDS, Faces, Place, accelerate_lines, draw_lines, impose_lines, locate_faces, no_lines
+from .boundary_lines import (
+    FIELDS,
+    Faces,
+    Place,
+    accelerate_lines,
+    draw_lines,
+    hold_halfway,
+    impose_lines,
+    locate_faces,
+    no_lines,
+)
 from .conditions import FACES, Approach, EdgeCondition, FieldCondition, NodeCondition
 from .time_functions import Schedule, TimeFunction
 from .velocity_fields import FieldMap, single_field
@@ -288,6 +298,11 @@ class BoundarySet:
             self.reaction /= force_factor
             work /= force_factor
         return float(work), float(not_lost)
+
+    def hold_halfway(self, velocity: FloatArray, keep: float) -> None:
+        """Mend velocities halfway through the step of `accelerate` (R, d) [m/s] that took all nodes for damped ones."""
+        if self.conditions and keep != 1.0:
+            hold_halfway(self._lines, self._made, self._faces.component, keep, velocity)
 
     def impose(self, momentum: FloatArray, velocity: FloatArray, before: bool = False) -> None:
         """Impose the prescribed velocities on a table of nodal velocities.

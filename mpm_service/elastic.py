@@ -319,10 +319,10 @@ class OrthotropicElastic(LinearElastic):
         else:
             order, dim = np.array([[0, 2], [2, 1]]), 2
         tensor = self.stiffness[order[:, :, None, None], order[None, None, :, :]]
-        return float(np.sqrt(_largest_acoustic_eigenvalue(tensor, dim) / self.density))
+        return float(np.sqrt(largest_acoustic_eigenvalue(tensor, dim) / self.density))
 
 
-def _largest_acoustic_eigenvalue(tensor: NDArray[np.float64], dim: int) -> float:
+def largest_acoustic_eigenvalue(tensor: NDArray[np.float64], dim: int) -> float:
     """Largest eigenvalue of n.C.n over all unit n [Pa].
 
     A scan finds the hill; from there m.(n.C.n).m is raised in m and n by turns until it stands.

@@ -41,6 +41,7 @@ Assumption = Literal["plane_stress", "plane_strain", "three_dimensional"]
 
 # Plain integers, since kernels read them as constants.
 GRADIENT_2D, STRESS_2D, VOLUME_2D = columns(2).gradient, columns(2).stress, columns(2).volume
+HALF_2D = columns(2).half
 GRADIENT_3D, STRESS_3D, VOLUME_3D = columns(3).gradient, columns(3).stress, columns(3).volume
 
 

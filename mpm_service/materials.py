@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from .elastic import IsotropicElastic, LinearElastic, OrthotropicElastic
 from .hyperelastic import NeoHookean
+from .laminate import CellAnswer, Laminate, Microstructure
 from .material import (
     Assumption,
     Material,
@@ -17,11 +18,14 @@ from .plasticity import J2Plasticity
 
 __all__ = [
     "Assumption",
+    "CellAnswer",
     "IsotropicElastic",
     "J2Plasticity",
+    "Laminate",
     "LinearElastic",
     "Material",
     "MaterialError",
+    "Microstructure",
     "NeoHookean",
     "OrthotropicElastic",
     "displacement_gradient",

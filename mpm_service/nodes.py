@@ -93,29 +93,24 @@ def power(listed: IntArray, force: FloatArray, velocity: FloatArray) -> float:
 
 
 @njit(cache=True, nogil=True)
-def halfway(
-    listed: IntArray, momentum: FloatArray, motion: FloatArray, internal: FloatArray, keep: float, out: FloatArray
-) -> tuple[float, float]:
+def halfway(listed: IntArray, momentum: FloatArray, motion: FloatArray, keep: float, out: FloatArray) -> float:
     """Velocities with which forces do their work in a step.
 
     The work of a force f on a node is ``dt f (v_old + v_new) / 2``, v_new before it is damped by ``keep``. Returns the
-    gain of the nodes' kinetic energy [J] and the power of the internal forces [W].
+    gain of the nodes' kinetic energy [J].
     """
     dim = out.shape[1]
     undamped = 1.0 / keep
     gain = 0.0
-    power = 0.0
     for i in range(listed.size):
         n = listed[i]
         mass = momentum[n, 0]
         for a in range(dim):
             new = motion[n, a]
             change = motion[n, dim + a]
-            middle = 0.5 * (new * undamped + new - change)
-            out[n, a] = middle
-            power += internal[n, a] * middle
+            out[n, a] = 0.5 * (new * undamped + new - change)
             gain += mass * change * (new - 0.5 * change)
-    return gain, power
+    return gain
 
 
 @njit(cache=True, nogil=True)

@@ -146,8 +146,8 @@ def cut_overlaps(body: Body, overlaps: Sequence[Overlap]) -> Body:
     for overlap in overlaps:
         inner, outer = overlap.polygons()
         near = _near(body, outer)
-        inside = _share(body, near, inner)
-        ring = np.maximum(_share(body, near, outer) - inside, 0.0)
+        inside = share_inside(body, near, inner)
+        ring = np.maximum(share_inside(body, near, outer) - inside, 0.0)
         hole[near] += inside
         weight = _mean_weight(body, near, ring, overlap)
         missing[near] += inside + ring * (1.0 - weight)
@@ -205,7 +205,7 @@ def _near(body: Body, polygon: Any) -> NDArray[np.int64]:
     return np.flatnonzero(np.all((body.position + reach > low) & (body.position - reach < high), axis=1))
 
 
-def _share(body: Body, points: NDArray[np.int64], polygon: Any) -> FloatArray:
+def share_inside(body: Body, points: NDArray[np.int64], polygon: Any) -> FloatArray:
     """Share of each point's domain that lies in a polygon; exactly 0 or 1 within round-off of input."""
     place, half, boxes = body.position[points], body.half[points], _boxes(body, points)
     border = polygon.boundary

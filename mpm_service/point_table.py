@@ -146,7 +146,6 @@ class PointTable:
         Parameters
         ----------
         other : PointTable
-            Of full weight.
         matching : (n,) ndarray of int
             Point of its body that is the same material as each point of this one's body.
         body : Body
@@ -163,8 +162,8 @@ class PointTable:
         self.material = other.material[ids]
         self.histories = [history[ids] for history in other.histories]
         rows = other.points.rows[other.points.row_of[ids]]
-        rows[:, c.mass] *= self.weight
-        rows[:, c.volume] *= self.stiffness
+        rows[:, c.mass] *= self.weight / other.weight[ids]
+        rows[:, c.volume] *= self.stiffness / other.stiffness[ids]
         rows[:, c.velocity : c.gradient] = 0.0
         rows[:, c.increment : c.increment + c.dimension] = 0.0
         self.points = Points(np.ascontiguousarray(rows), np.arange(ids.size), np.arange(ids.size))

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from mpm_service.cell_client import CellClient
 from mpm_service.conditions import Approach, EdgeCondition, FieldCondition, symmetry
 from mpm_service.crack_line import Crack
 from mpm_service.crack_reports import growth_law
@@ -18,8 +19,10 @@ from mpm_service.elastic import IsotropicElastic, LinearElastic, OrthotropicElas
 from mpm_service.grid import Grid
 from mpm_service.hierarchy import HierarchicalGrid
 from mpm_service.hierarchy_filling import fill_hierarchy
+from mpm_service.holes import Hole, cut_holes
 from mpm_service.hyperelastic import NeoHookean
 from mpm_service.k_field import CrackTipField
+from mpm_service.laminate import Laminate
 from mpm_service.loads import AbsorbingEdge, BodyForce, Load, Traction
 from mpm_service.material import Material
 from mpm_service.material_points import Body, fill_rectangle
@@ -30,6 +33,7 @@ from mpm_service.solver import MaterialPointSolver
 from mpm_service.time_functions import Constant, Table
 from protocol import continuum as messages
 from protocol.arrays import FloatArray
+from protocol.client import Client
 from protocol.continuum_parts import Edge
 from protocol.errors import ProtocolError
 
@@ -53,6 +57,7 @@ CONFIGURE_NAMES = {
     "GrowthLaw": "cracks",
     "Scheme": "scheme",
     "HierarchicalGrid": "refinement",
+    "holes": "holes",
 }
 REGISTER_NAMES = {"position": "anchor_position", "ivc": "anchor_ivc", "interface": "ivc_lower", "lower": "ivc_lower",
                   "upper": "ivc_upper"}  # fmt: skip
@@ -195,7 +200,7 @@ def _condition(
 
 def _absorbing(edge: Edge, axis: int, material: Material) -> AbsorbingEdge:
     """Return an absorbing edge for waves along its normal."""
-    if isinstance(material, LinearElastic):
+    if isinstance(material, LinearElastic | Laminate):
         normal, shear = material.stiffness[axis, axis], material.stiffness[2, 2]
     else:
         assert isinstance(material, NeoHookean | J2Plasticity)
@@ -205,15 +210,29 @@ def _absorbing(edge: Edge, axis: int, material: Material) -> AbsorbingEdge:
     return AbsorbingEdge(edge, density, float(np.sqrt(normal / density)), float(np.sqrt(shear / density)))
 
 
-def make_material(request: messages.ContinuumConfigure) -> Material:
+def make_material(request: messages.ContinuumConfigure, connect: Callable[[str], Client]) -> Material:
     """Return the material of a problem.
+
+    Parameters
+    ----------
+    request : ContinuumConfigure
+    connect : callable
+        Returns a new client of the micromechanics service at an endpoint. A `Laminate` holds the client of its cell
+        until its `cell` is closed.
 
     Raises
     ------
     ProtocolError
-        `bad_field`, where its constants do not go together.
+        `bad_field`, where its constants do not go together, or there is no such service.
     """
     given = request.material
+    if isinstance(given, messages.LaminateMaterial):
+        if request.assumption != "plane_stress":
+            raise ProtocolError(
+                "bad_field", f"assumption: is {request.assumption}, a laminate is in plane_stress", field="assumption"
+            )
+        cell = CellClient(lambda: connect(given.micromechanics), given.cell.request())
+        return Laminate(cell, given.angles, given.density, request.points_per_cell)
     constants = {name: value for name, value in given.model_dump().items() if name != "law"}
     try:
         if isinstance(given, messages.OrthotropicMaterial):
@@ -266,7 +285,7 @@ def make_solver(
 
 
 def _fill(request: messages.ContinuumConfigure, edges: Edges) -> tuple[Grid | HierarchicalGrid, Body]:
-    """Return the grid, with room for the motion of its edges, and the points of the whole body."""
+    """Return the grid, with room for the motion of its edges, and the points of the whole body round its holes."""
     lower, upper = request.body.lower, request.body.upper
     size = np.subtract(upper, lower)
     moves = [abs(value) for edge in request.edges for value in getattr(edge, "displacements", ())]
@@ -274,10 +293,11 @@ def _fill(request: messages.ContinuumConfigure, edges: Edges) -> tuple[Grid | Hi
     cells = np.round(size / request.cell_size).astype(int) + 2 * margin
     origin = np.asarray(request.body.lower) - margin * request.cell_size
     uniform = Grid(tuple(origin), request.cell_size, (int(cells[0]), int(cells[1])))
+    holes = [Hole(hole.centre, hole.radius) for hole in request.holes]
     if not request.refinement:
-        return uniform, fill_rectangle(lower, upper, request.cell_size, request.points_per_cell)
+        return uniform, cut_holes(fill_rectangle(lower, upper, request.cell_size, request.points_per_cell), holes)
     nested = HierarchicalGrid(uniform, [(level.lower, level.upper) for level in request.refinement])
-    return nested, fill_hierarchy(nested, lower, upper, request.points_per_cell)
+    return nested, cut_holes(fill_hierarchy(nested, lower, upper, request.points_per_cell), holes)
 
 
 def _cut(request: messages.ContinuumConfigure, body: Body) -> Body:

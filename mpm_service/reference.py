@@ -115,6 +115,11 @@ class ReferenceSolver:
         return self._step
 
     @property
+    def histories(self) -> list[FloatArray]:
+        """Variables of each material's law by id of the points, as they are kept; see `Material`."""
+        return self._table.histories
+
+    @property
     def time(self) -> float:
         """Time [s], steps times time step."""
         return self._step * self.time_step

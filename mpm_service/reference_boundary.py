@@ -105,6 +105,13 @@ class StraightLineRule:
             result[held, a] = edge + ratio * (result[leader, a] - edge)
         return result
 
+    def hold_halfway(self, velocity: FloatArray, after: FloatArray, keep: float) -> None:
+        """Take from velocities halfway (R, d) what undamping gave the prescribed part, which is not damped."""
+        for a in range(velocity.shape[1]):
+            held = np.flatnonzero(self.condition[a] >= 0)
+            prescribed = (1.0 - self.ratio[a, held]) * after[self.condition[a, held]]
+            velocity[held, a] -= 0.5 * (1.0 / keep - 1.0) * prescribed
+
     def accelerate(
         self,
         old: FloatArray,

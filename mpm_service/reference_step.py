@@ -169,6 +169,7 @@ class ReferenceStep:
         increment += new - free
         gain = float(np.sum(nodes.mass[:, None] * increment * (new - 0.5 * increment))) / factor
         halfway = 0.5 * (new / keep + new - increment)  # forces do their work with the mean of old and undamped new
+        nodes.rule.hold_halfway(halfway, after, keep)
         gain -= dt * float(np.sum(inner * halfway))
         pushed = dt * float(np.sum(push * (nodes.shape @ halfway)))
         given = dt * float(np.sum(pull * (reader @ halfway)))

@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import ClassVar, cast
 
 import numpy as np
+import zmq
 
+from mpm_service.cell_client import CellClient
 from mpm_service.conditions import Approach
 from mpm_service.crack_reports import RULES, CrackReports
 from mpm_service.cracks import MOST_CRACKS
@@ -15,6 +17,8 @@ from mpm_service.damping import Relaxation as Relaxed
 from mpm_service.damping import relax
 from mpm_service.errors import SolverError
 from mpm_service.k_field import CrackTipField
+from mpm_service.laminate import Laminate
+from mpm_service.laminate_reports import LaminateReports
 from mpm_service.material import Material
 from mpm_service.problem import (
     CONFIGURE_NAMES,
@@ -32,14 +36,18 @@ from mpm_service.solver import MaterialPointSolver
 from mpm_service.static_solution import Equilibrium
 from protocol import continuum as messages
 from protocol.arrays import FloatArray, IntArray
+from protocol.client import Client
 from protocol.errors import ProtocolError
 from protocol.messages import CheckpointReply, Empty, FieldsReply, FieldsRequest, Restored, RestoreRequest
+from protocol.security import SecurityError, keys_of_link
 from protocol.service import Activity, Capabilities, Service
 from protocol.version import package_version
 
-FIELDS = ["position", "displacement", "velocity", "stress", "weight"]
+FIELDS = ["position", "displacement", "velocity", "stress", "weight", "failed"]
 #: Steps of a preload between two reports of progress.
 PROGRESS_EVERY = 100
+#: Within which a micromechanics service must answer [s].
+CONNECT_SECONDS = 30.0
 #: Levels of the grid that are accepted; ten span the sizes of the dissertation's Sec 5.1.
 MOST_LEVELS = 12
 
@@ -84,6 +92,8 @@ class MaterialPointService(Service):
         self._solver: MaterialPointSolver | None = None
         self._edges = Edges([], 1.0, (0.0, 0.0), (0.0, 0.0), frozen=True)
         self._cracks: CrackReports | None = None
+        self._cell: CellClient | None = None
+        self._laminate: LaminateReports | None = None
         self._stop_on_loss = False
         self._registered = NOTHING_REGISTERED
 
@@ -96,7 +106,7 @@ class MaterialPointService(Service):
             "interpolations": ["linear", "ugimp", "cpgimp", "bspline"],
             "integrations": ["usf", "usl", "musl", "usavg"],
             "transfers": ["flip", "pic", "xpic", "fmpm"],
-            "laws": ["isotropic", "orthotropic", "neo_hookean", "j2_plasticity"],
+            "laws": ["isotropic", "orthotropic", "neo_hookean", "j2_plasticity", "laminate"],
             "edge_kinds": self.edge_kinds,
             "contacts": self.contacts,
             "growth_rules": self.growth_rules,
@@ -138,15 +148,25 @@ class MaterialPointService(Service):
         """Fill the body with points, make the solver, relax it where the request says so."""
         for field, what in self._unsupported(request):
             raise ProtocolError("unsupported", f"the backend {self.backend} does not have {what}", field=field)
-        material = make_material(request)
+        material = make_material(request, self._client)
+        cell = material.cell if isinstance(material, Laminate) and isinstance(material.cell, CellClient) else None
         try:
             solver, edges = make_solver(request, material, type(self).solver)
             cracks = CrackReports(solver, request)
             relaxation, probed = self._start(request, material, solver)
-        except SolverError as error:
-            raise ProtocolError("solver_failed", f"preload: {error}", step=error.step) from error
-        except ValueError as error:
-            raise bad_field(error, CONFIGURE_NAMES) from None
+        except BaseException as error:
+            if cell is not None:
+                cell.close()
+            if isinstance(error, SolverError):
+                raise ProtocolError("solver_failed", f"preload: {error}", step=error.step) from error
+            if isinstance(error, ValueError):
+                raise bad_field(error, CONFIGURE_NAMES) from None
+            raise
+        self.close()
+        self._cell = cell
+        self._laminate = None
+        if isinstance(material, Laminate) and cell is not None:
+            self._laminate = LaminateReports(solver, material, cell.materials)
         self._solver, self._edges, self._cracks, self._registered = solver, edges, cracks, NOTHING_REGISTERED
         self._stop_on_loss = request.on_lost_points == "stop"
         levels = levels_of(request, solver)
@@ -243,12 +263,15 @@ class MaterialPointService(Service):
                 events += cracks.advance(
                     min(self.chunk, end - solver.step, cracks.next_stop(solver.step)), ivc_force, anchor_force
                 )
+                if self._laminate is not None:
+                    events += self._laminate.events()
                 if solver.points_lost > lost:
                     events.append(self._lost(solver.points_lost - lost))
         except (SolverError, ValueError) as error:
             # The request was checked before, so what is wrong now came up on the way.
             raise ProtocolError("solver_failed", str(error), step=solver.step) from error
         energies, momentum = solver.energies(), solver.momentum
+        queried, spared = (0, 0) if self._laminate is None else self._laminate.queries()
         force, displacement = self._edges.state(solver.edge_reaction, solver.time)
         return messages.ContinuumAdvanced(
             step=solver.step,
@@ -266,6 +289,8 @@ class MaterialPointService(Service):
             filter_loss=energies.filter_loss,
             momentum=(float(momentum[0]), float(momentum[1])),
             points_lost=solver.points_lost,
+            queried=queried,
+            spared=spared,
             tips=cracks.tips(),
             events=events,
         )
@@ -300,7 +325,11 @@ class MaterialPointService(Service):
         return messages.ContinuumEvent(kind="points_lost", step=solver.step, sentence=sentence, count=count)
 
     def fields(self, request: FieldsRequest) -> FieldsReply:
-        """Return fields of the points; those of `configure` come first, in its order. Vectors have z = 0."""
+        """Return fields of the points; those of `configure` come first, in its order. Vectors have z = 0.
+
+        ``failed`` has the share of each material's subcells that has failed in plies of each direction of fibres, in
+        the order of `angles`; without plies it has no columns.
+        """
         solver = self._configured()
         points = solver.points
         found = {}
@@ -311,6 +340,9 @@ class MaterialPointService(Service):
                     f"names.{index}: no field {name!r}; there are {', '.join(FIELDS)}",
                     field=f"names.{index}",
                 )
+            if name == "failed":
+                found[name] = np.zeros((points.count, 0)) if self._laminate is None else self._laminate.failed()
+                continue
             value = getattr(points, name)
             found[name] = _with_z(value) if value.ndim == 2 and value.shape[1] == 2 else np.ascontiguousarray(value)
         return FieldsReply(step=solver.step, fields=found)
@@ -335,9 +367,36 @@ class MaterialPointService(Service):
             self._cracks.check(request.state)
             solver.restore(request.state)
             self._cracks.restore(request.state)
+            if self._laminate is not None:
+                self._laminate.catch_up()
         except (ValueError, KeyError) as error:
             raise ProtocolError("bad_field", f"state: {error}", field="state") from None
         return Restored(step=solver.step)
+
+    def close(self) -> None:
+        """Let go of the micromechanics service."""
+        if self._cell is not None:
+            self._cell.close()
+            self._cell = None
+
+    def _client(self, endpoint: str) -> Client:
+        """A new client of the micromechanics service, which `abort` can end while it waits."""
+        field = "material.micromechanics"
+        try:
+            return Client.connect(
+                endpoint,
+                "micromechanics",
+                keys=keys_of_link(endpoint, self.link_keys),
+                watch=self._look,
+                deadline=CONNECT_SECONDS,
+            )
+        except SecurityError as error:
+            raise ProtocolError("bad_field", f"{field}: {error}", field=field) from None
+        except zmq.ZMQError as error:
+            raise ProtocolError("bad_field", f"{field}: {endpoint!r} is no endpoint: {error}", field=field) from None
+
+    def _look(self) -> None:
+        self.activity.progress(self.activity.done, self.activity.total, self.activity.note)
 
     def _configured(self) -> MaterialPointSolver:
         if self._solver is None:

@@ -234,6 +234,11 @@ class MaterialPointSolver:
         return largest_time_step(self.grid, self.materials, self.scheme)
 
     @property
+    def histories(self) -> list[FloatArray]:
+        """Variables of each material's law by id of the points, as they are kept; see `Material`."""
+        return self._table.histories
+
+    @property
     def points_lost(self) -> int:
         """Points that have left the grid and take no further part."""
         return self._table.count - self._mapping.alive

@@ -356,9 +356,9 @@ class TimeIntegration:
         """Book what forces other than internal ones gave the nodes; leaves velocities halfway in `filtered`."""
         tables = self.nodes
         keep = self.damping.grid_factor(self.time_step)
-        gain, power = node_kernels.halfway(
-            active, tables.momentum, tables.motion, tables.internal, keep, tables.filtered
-        )
+        gain = node_kernels.halfway(active, tables.momentum, tables.motion, keep, tables.filtered)
+        self.boundary.hold_halfway(tables.filtered, keep)
+        power = float(node_kernels.power(active, tables.internal, tables.filtered))
         self.totals.unfiltered += gain / self.damping.force_factor - duration * power
         for load in self.loads:
             load.book(tables.momentum, tables.filtered, duration)

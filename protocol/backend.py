@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Any
 from protocol.service import Service
 
 if TYPE_CHECKING:
-    from protocol.micromechanics import RegisterCell
+    from protocol.arrays import FloatArray, IntArray
+    from protocol.micromechanics import CellProperties, RegisterCell
+    from protocol.structure import StructureConfigure
 
 GROUP = "scalebridge.backends"
 
@@ -39,6 +41,13 @@ class Backend:
     cell_reader : str, optional
         `module:callable`; given the path of a cell file, returns the message that registers the cell. None: this
         backend reads none.
+    plane_reader : str, optional
+        `module:callable`; given the path of a mesh file and the metres of its unit of length, returns a plane mesh of
+        quadrilaterals with `nodes`, shape (nodes, 2), and `elements`, shape (elements, 4). None: this backend reads
+        none.
+    deck_writer : str, optional
+        `module:callable`; given the `StructureConfigure` of a laminate, the `CellProperties` of its cell and lines of
+        comment, returns the text of a deck for other codes. None: this backend writes none.
     seconds_per_unit_step : dict of str to float
         Seconds per step and atom or material point on one core, by force field (``""`` where the role has
         none); for estimates before a run.
@@ -53,6 +62,8 @@ class Backend:
     launcher: str | None = None
     front: str | None = None
     cell_reader: str | None = None
+    plane_reader: str | None = None
+    deck_writer: str | None = None
     seconds_per_unit_step: dict[str, float] = field(default_factory=dict)
     default: bool = False
 
@@ -75,6 +86,36 @@ class Backend:
             raise BackendError(f"backend {self.name} reads no cell files")
         cell: RegisterCell = _load(self.cell_reader)(path)
         return cell
+
+    def read_plane(self, path: Path, unit: float) -> tuple[FloatArray, IntArray]:
+        """Return nodes, m, and elements of the plane mesh in a file whose unit of length is `unit` metres.
+
+        Raises
+        ------
+        BackendError
+            Where this backend reads no plane meshes.
+        ValueError
+            Where the file is no such mesh.
+        """
+        if self.plane_reader is None:
+            raise BackendError(f"backend {self.name} reads no mesh files")
+        mesh = _load(self.plane_reader)(path, unit)
+        return mesh.nodes, mesh.elements
+
+    def write_deck(self, request: StructureConfigure, properties: CellProperties, comments: Sequence[str]) -> str:
+        """Return a laminate as a deck that other codes run.
+
+        Raises
+        ------
+        BackendError
+            Where this backend writes no decks.
+        ProtocolError
+            Where the request cannot be written.
+        """
+        if self.deck_writer is None:
+            raise BackendError(f"backend {self.name} writes no decks")
+        text: str = _load(self.deck_writer)(request, properties, comments)
+        return text
 
     def make_front(self, folder: Path, command: list[str], workers: int | None, executor: str | None) -> Service:
         """Return a new service that splits each query over workers of this backend.

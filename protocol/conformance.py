@@ -13,9 +13,10 @@ from protocol.conformance_kit import Check
 from protocol.conformance_micromechanics import MicromechanicsChecks
 from protocol.conformance_overlap import OverlapChecks
 from protocol.conformance_problems import Problem
-from protocol.conformance_structure import StructureChecks
+from protocol.conformance_structure import WATCHED, StructureChecks
 from protocol.conformance_wire import WireChecks
 from protocol.malformed_messages import malformed_messages
+from protocol.version import Version
 
 
 def check_service(
@@ -159,6 +160,9 @@ class Kit(WireChecks, StructureChecks, AtomisticChecks, CrackChecks, OverlapChec
         self._check("force: a ply at an angle is as stiff as it must be", lambda: self._ply_axes(problem))
         self._check("force: is that of the whole plate", lambda: self._symmetries(problem))
         self._check("failure: is counted, kept, and ends with the load", lambda: self._all_fail(problem))
+        if Version(*self._welcome.version) >= WATCHED:
+            self._check("watched: bricks and their subcells, and the work", lambda: self._watched(problem))
+            self._check("mesh: a given one is the made one", lambda: self._given_mesh(problem))
         self._check("problem: is set anew", lambda: self._set(problem))
         self._steps_and_states(problem)
         self._wrong_fields(problem)

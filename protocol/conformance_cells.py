@@ -78,6 +78,14 @@ class OneMaterialCells(Service):
             new_failures=int(failed.sum()) - int(before.sum()),
         )
 
+    def localise(self, request: m.LocaliseRequest) -> m.Localised:
+        """The one subcell has the strain of the cell."""
+        cell = self._cell(request.cell)
+        failed = np.zeros(len(request.strain), np.uint8) if request.failed is None else request.failed[:, 0]
+        factor = np.where(failed > 0, cell.knock_down, 1.0)
+        stress = factor[:, None] * (request.strain @ self._stiffness(cell))
+        return m.Localised(stress=stress[:, None, :].copy(), strain=request.strain[:, None, :].copy())
+
     def properties(self, request: m.CellPropertiesRequest) -> m.CellProperties:
         """Those of the one material. No energy is said to be safe, so that every point is asked for."""
         return m.CellProperties(

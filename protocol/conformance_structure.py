@@ -9,6 +9,7 @@ import numpy as np
 
 from protocol import micromechanics as m
 from protocol import structure as s
+from protocol.arrays import FloatArray, IntArray
 from protocol.conformance_cells import OneMaterialCells
 from protocol.conformance_probe import Refuted, expect_error
 from protocol.conformance_problems import Problem, Wrong
@@ -16,12 +17,15 @@ from protocol.conformance_solver import REFUSED, SolverChecks
 from protocol.frames import Envelope
 from protocol.messages import FieldsReply, FieldsRequest
 from protocol.server import running
+from protocol.version import Version
 
 #: Relative error of forces that have a closed form.
 CLOSE = 1e-6
 LIMIT = 0.01  # strain along the fibre at which the cell fails
 FINAL = 0.02
 KNOCK_DOWN = 1e-2
+#: Version that brought watched bricks and meshes that are given.
+WATCHED = Version(1, 5)
 #: What may differ between two runs that are the same: how long they took.
 RUNNING = ("seconds", "factorisations")
 
@@ -80,6 +84,11 @@ def structure_problem(micromechanics: str) -> Problem:
         return configure.model_copy(update=values)
 
     plate = s.PlateMesh(columns=2, rows=1)
+    nodes, elements = _two_squares()
+    given = {"plane_nodes": nodes, "plane_elements": elements}
+    by_energy = configure.increments.model_copy(update={"dissipation": 1e-3})
+    viscous = configure.increments.model_copy(update={"viscosity": 1e-4})
+    both = s.Increments.model_construct(**{**dict(by_energy), "viscosity": 1e-4})
     wrong_order = s.Increments.model_construct(first=0.5, least=1e-5, most=0.1, iterations=100, tolerance=1e-6)
     wrong = [
         Wrong("no count around the hole", "configure", ("mesh.around", "mesh"), changed(mesh=s.PlateMesh(radial=2))),
@@ -91,6 +100,17 @@ def structure_problem(micromechanics: str) -> Problem:
               changed(angles=[0.0, 0.5])),
         Wrong("a first increment above the largest", "configure", ("increments.first", "increments.most"),
               changed(increments=wrong_order)),
+        Wrong("an element turned inside out", "configure", ("plane_elements", "plane_nodes", "mesh"),
+              changed(plane_nodes=nodes, plane_elements=elements[:, [0, 2, 1, 3]].copy())),
+        Wrong("nodes without elements", "configure", ("plane_elements",), changed(plane_nodes=nodes)),
+        Wrong("a mesh that does not reach the end", "configure", ("plane_nodes", "plane_elements", "mesh"),
+              changed(plane_nodes=0.9 * nodes, plane_elements=elements)),
+        Wrong("a hole and notches", "configure", ("notch_diameter", "hole_diameter"), changed(notch_diameter=1e-3)),
+        Wrong("two ways to control the increments", "configure", ("increments.dissipation", "increments.viscosity"),
+              changed(increments=both)),
+        Wrong("the energy of what fails at once", "configure", ("increments.dissipation", "materials", "damage"),
+              changed(increments=by_energy)),
+        Wrong("a brick that is not there", "advance", ("watched",), s.StructureAdvance(watched=[1000])),
         Wrong("no endpoint", "configure", ("micromechanics",), changed(micromechanics="nowhere")),
         Wrong("no fields", "fields", ("names",), FieldsRequest.model_construct(names=[])),
     ]  # fmt: skip
@@ -102,7 +122,13 @@ def structure_problem(micromechanics: str) -> Problem:
     return Problem(
         steps=[("configure", configure)],
         advance=advance,
-        whole=[("configure", whole), ("advance", advance(0))],
+        whole=[
+            ("configure", whole),
+            ("advance", advance(0)),
+            ("configure", whole.model_copy(update={**given, "increments": viscous})),
+            ("configure", changed(notch_diameter=3e-3, hole_diameter=None, increments=by_energy, damage="none")),
+            ("advance", s.StructureAdvance(largest=0.004, watched=[0, 1])),
+        ],
         wrong=wrong,
         long=("advance", advance(0)),
         sizes={},
@@ -113,6 +139,10 @@ def structure_problem(micromechanics: str) -> Problem:
             ("one ply", [("configure", changed(angles=[0.0], lower_half=False)), ("advance", advance(0))]),
             ("a whole plate", [("configure", changed(quarter=False, lower_half=False)), ("advance", advance(0))]),
             ("no hole", [("configure", changed(hole_diameter=None, mesh=plate)), ("advance", advance(0))]),
+            ("notches", [("configure", changed(hole_diameter=None, notch_diameter=3e-3)), ("advance", advance(0))]),
+            ("viscosity", [("configure", changed(cohesive=cohesive, increments=viscous)), ("advance", advance(0))]),
+            ("increments by energy", [("configure", changed(increments=by_energy, damage="none")),
+                                      ("advance", advance(0))]),
         ],
     )  # fmt: skip
 
@@ -239,6 +269,41 @@ class StructureChecks(SolverChecks):
             raise Refuted("subcells fail although damage is none")
         return f"{built.points} points"
 
+    def _watched(self, problem: Problem) -> str:
+        """Bricks of a ply along the pull, before and after all has failed."""
+        steps = s.Increments(first=0.4, least=0.01, most=0.4, tolerance=1e-9)
+        built = self._configured(problem, **_plain(), angles=[0.0], increments=steps)
+        bricks = list(range(len(built.bricks)))[::-1]
+        for _ in range(2):
+            made = self._work.reply("advance", s.StructureAdvance(watched=bricks), s.StructureAdvanced)
+            strain, stress, subcells = made.watched_strain, made.watched_stress, made.watched_subcells
+            if strain is None or stress is None or subcells is None:
+                raise Refuted(
+                    "watched_strain, watched_stress or watched_subcells is absent although bricks are watched"
+                )
+            if strain.shape != (len(bricks), 6) or subcells.shape != (len(bricks), 1, 6):
+                raise Refuted(f"watched_strain and _subcells have shapes {strain.shape} and {subcells.shape}")
+            for row in range(len(bricks)):
+                self._near("watched_strain", strain[row, 0], made.strain)
+                self._near("watched_stress", stress[row, 0], made.force / built.section)
+            if not np.allclose(subcells[:, 0], stress, rtol=0.0, atol=CLOSE * np.abs(stress).max()):
+                raise Refuted("watched_subcells of a cell of one subcell are not watched_stress")
+            if not made.new_failures.any():
+                self._near("work", made.work, 0.5 * made.force * made.strain * 8e-3)
+        plain = self._work.reply("advance", s.StructureAdvance(largest=0.01), s.StructureAdvanced)
+        if plain.watched_strain is not None or plain.watched_subcells is not None:
+            raise Refuted("watched_strain or watched_subcells is there although nothing is watched")
+        return f"{len(bricks)} bricks"
+
+    def _given_mesh(self, problem: Problem) -> None:
+        nodes, elements = _two_squares()
+        forces = []
+        for changes in ({}, {"plane_nodes": nodes, "plane_elements": elements, "mesh": s.PlateMesh()}):
+            plain = {"hole_diameter": None, "mesh": s.PlateMesh(columns=2, rows=1), **changes}
+            self._configured(problem, **plain)
+            forces.append(self._work.reply("advance", problem.advance(0), s.StructureAdvanced).force)
+        self._near("force on a given mesh", forces[1], forces[0])
+
     def _asks(self, problem: Problem) -> str:
         """The cells are asked over the wire: points that are counted as queried were."""
         built = self._configured(problem)
@@ -266,6 +331,13 @@ class StructureChecks(SolverChecks):
     def _near(self, name: str, found: float, wanted: float) -> None:
         if not abs(found - wanted) <= CLOSE * abs(wanted):
             raise Refuted(f"{name} is {found:.10g}, must be {wanted:.10g}")
+
+
+def _two_squares() -> tuple[FloatArray, IntArray]:
+    """Nodes and elements of two rectangles on the quarter of the problem's plate."""
+    x, y = np.meshgrid([0.0, 2e-3, 4e-3], [0.0, 4e-3])
+    elements = np.array([[0, 1, 4, 3], [1, 2, 5, 4]], dtype=np.int64)
+    return np.stack([x.ravel(), y.ravel()], axis=-1), elements
 
 
 def _plain() -> dict[str, object]:

@@ -22,6 +22,7 @@ from protocol.continuum_parts import (
     EdgeTraction,
     EdgeVelocity,
     GridLevel,
+    Hole,
     IsotropicMaterial,
     J2PlasticityMaterial,
     KField,
@@ -35,6 +36,7 @@ from protocol.continuum_parts import (
     Relaxation,
     Scheme,
 )
+from protocol.laminate_material import LaminateMaterial
 from protocol.messages import (
     Count,
     Finite,
@@ -72,9 +74,11 @@ __all__ = [
     "EdgeTraction",
     "EdgeVelocity",
     "GridLevel",
+    "Hole",
     "IsotropicMaterial",
     "J2PlasticityMaterial",
     "KField",
+    "LaminateMaterial",
     "Material",
     "NeoHookeanMaterial",
     "OrthotropicMaterial",
@@ -107,6 +111,11 @@ class ContinuumConfigure(Message):
     )
     material: Material = Field(description="one material for the whole body")
     overlap: Overlap | None = Field(default=None, description="absent: continuum everywhere in `body`")
+    holes: list[Hole] = Field(
+        default_factory=list,
+        description="where `body` has no material; they share no area",
+        json_schema_extra=since(1, 5),
+    )
     cracks: list[CrackLine] = Field(default_factory=list, description="absent or empty: no crack")
     edges: list[AnyEdge] = Field(default_factory=list, description="an edge without a condition is free")
     body_force: BodyForce | None = Field(default=None, description="absent: none", json_schema_extra=since(1, 1))
@@ -284,7 +293,8 @@ class ContinuumAdvanced(Message):
     )
     dissipated_energy: float = Field(
         default=0.0,
-        description="[J] energy taken by plastic flow and by friction of crack faces since the start",
+        description="[J] energy taken by plastic flow, by failure of subcells and by friction of crack faces since the"
+        " start",
         json_schema_extra=since(1, 1),
     )
     filter_loss: Finite | None = Field(
@@ -297,6 +307,17 @@ class ContinuumAdvanced(Message):
         default=None, description="[kg m/s] of the material points; absent: not known", json_schema_extra=since(1, 3)
     )
     points_lost: Natural = Field(description="points that left the grid since the start")
+    queried: Natural = Field(
+        default=0,
+        description="with the law `laminate`: plies of points of which the microstructure was asked in these steps",
+        json_schema_extra=since(1, 5),
+    )
+    spared: Natural = Field(
+        default=0,
+        description="with the law `laminate`: plies of points that could not fail and were answered by the elastic"
+        " stiffness in these steps",
+        json_schema_extra=since(1, 5),
+    )
     tips: list[CrackTip] = Field(
         default_factory=list, description="crack tips inside the body", json_schema_extra=since(1, 1)
     )

@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, Tag, model_validator
 
 from protocol.kinds import mark, told_apart_by
+from protocol.laminate_material import LaminateMaterial
 from protocol.messages import (
     Count,
     Finite,
@@ -21,7 +22,7 @@ from protocol.messages import (
 )
 from protocol.version import Version
 
-_V1_1, _V1_3 = Version(1, 1), Version(1, 3)
+_V1_1, _V1_3, _V1_5 = Version(1, 1), Version(1, 3), Version(1, 5)
 Poisson = Annotated[float, Field(gt=-1, lt=0.5, allow_inf_nan=False)]
 Edge = Literal["left", "right", "bottom", "top"]
 
@@ -40,6 +41,18 @@ class Rectangle(Part):
         if not (self.lower[0] < self.upper[0] and self.lower[1] < self.upper[1]):
             raise wrong("upper", f"{list(self.upper)} is not above lower {list(self.lower)} in x and y")
         return self
+
+
+class Hole(Part):
+    """A round hole in the body; it may reach beyond it.
+
+    A material point whose square domain is cut has the share of mass and stiffness that lies outside the hole.
+    """
+
+    added_in = _V1_5
+
+    centre: Point2 = Field(description="[m] x, y")
+    radius: Positive = Field(description="[m] of the circle")
 
 
 class Overlap(Part):
@@ -170,8 +183,9 @@ Material = Annotated[
     Annotated[IsotropicMaterial, Tag(mark("isotropic"))]
     | Annotated[OrthotropicMaterial, Tag(mark("orthotropic"))]
     | Annotated[NeoHookeanMaterial, Tag(mark("neo_hookean"))]
-    | Annotated[J2PlasticityMaterial, Tag(mark("j2_plasticity"))],
-    told_apart_by("law", "isotropic", "orthotropic", "neo_hookean", "j2_plasticity"),
+    | Annotated[J2PlasticityMaterial, Tag(mark("j2_plasticity"))]
+    | Annotated[LaminateMaterial, Tag(mark("laminate"))],
+    told_apart_by("law", "isotropic", "orthotropic", "neo_hookean", "j2_plasticity", "laminate"),
 ]
 
 
@@ -441,7 +455,7 @@ class ContinuumEvent(Part):
     added_in = _V1_1
 
     kind: str = Field(
-        description="`growth`, `arrest`, `reached_overlap` or `points_lost`; newer versions may add others"
+        description="`growth`, `arrest`, `reached_overlap`, `points_lost` or `failure`; newer versions may add others"
     )
     step: Natural = Field(description="steps since `configure` when it happened")
     sentence: str = Field(description="what happened, for people")

@@ -27,6 +27,7 @@ from protocol.messages import (
     Positive,
     check_ascending,
     check_indices,
+    since,
     wrong,
 )
 from protocol.stiffness import stiffness_problem
@@ -82,6 +83,12 @@ class CellMaterial(Part):
     )
     fracture_energy: Positive | None = Field(
         default=None, description="[J/m^2] per area of crack, for softening; absent: a subcell fails at once"
+    )
+    reduces_strength: bool = Field(
+        default=False,
+        description="with `fracture_energy`, in an element so long that it would store more than its crack can take: "
+        "the strength is lowered to sqrt(2 E G_c / length) (Bazant and Oh 1983); otherwise the element is refused",
+        json_schema_extra=since(1, 5),
     )
     plasticity: MaterialPlasticity | None = Field(default=None, description="absent: elastic until it fails")
 

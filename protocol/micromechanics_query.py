@@ -111,3 +111,7 @@ class CellQueries:
             return join_evaluated(list(self._client.call_each("evaluate", split(request, bounds), Evaluated)))
 
         return ask_or_register(ask, self._register)
+
+    def localise(self, request: LocaliseRequest) -> Localised:
+        """Return the fields inside the cell at a few points; errors as `evaluate`."""
+        return ask_or_register(lambda: self._client.call("localise", request, Localised), self._register)

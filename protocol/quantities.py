@@ -24,6 +24,7 @@ DIMENSIONS: Final[dict[str, tuple[str, str]]] = {
     "velocity": ("m/s", "10 m/s"),
     "acceleration": ("m/s^2", "-9.81 m/s^2"),
     "angle": ("rad", "30 degree"),
+    "energy": ("J", "2 mJ"),
     "energy per area": ("J/m^2", "10 J/m^2"),
     "stress intensity": ("Pa m^0.5", "2 MPa m^0.5"),
     "pressure per length": ("Pa/m", "2.71e8 MPa/mm"),

@@ -101,6 +101,15 @@ def is_local(endpoint: str) -> bool:
         return False  # a name or a wildcard: may be anyone's
 
 
+def keys_of_link(endpoint: str, keys: Path | None) -> Path | None:
+    """Return the keys with which one service asks another at an endpoint.
+
+    None where the endpoint is a Unix socket: a run makes it in its own folder, for its own processes alone, without
+    keys. Any address over TCP is asked with the keys where there are some, never in clear because the peer is.
+    """
+    return None if urlsplit(endpoint).scheme == "ipc" else keys
+
+
 def check_binding(endpoint: str, keys: Path | None, insecure_public: bool) -> None:
     """Refuse an address beyond this machine without keys.
 

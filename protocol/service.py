@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from abc import ABC, abstractmethod
+from pathlib import Path
 from typing import ClassVar
 
 from protocol.errors import ProtocolError
@@ -61,6 +62,9 @@ class Service(ABC):
     role: ClassVar[str]
     backend: ClassVar[str]
     backend_version: ClassVar[str]
+
+    #: Folder with the CURVE keys for services that this one asks, see `protocol.security.keys_of_link`.
+    link_keys: Path | None = None
 
     def __init__(self) -> None:
         self.activity = Activity()

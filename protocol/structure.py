@@ -12,7 +12,19 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from protocol.arrays import ArraySpec, FloatArray, IntArray
-from protocol.messages import Count, Finite, Integer, Message, Natural, NonNegative, Part, Positive, wrong
+from protocol.messages import (
+    Count,
+    Finite,
+    Integer,
+    Message,
+    Natural,
+    NonNegative,
+    Part,
+    Positive,
+    check_indices,
+    since,
+    wrong,
+)
 from protocol.micromechanics import RegisterCell
 from protocol.version import Version
 
@@ -24,14 +36,18 @@ class PlateMesh(Part):
 
     added_in: ClassVar[Version] = Version(1, 4)
 
-    around: Count | None = Field(default=None, description="elements round a quarter of the hole, even; with a hole")
-    radial: Count | None = Field(default=None, description="elements from the hole to the square round it; with a hole")
+    around: Count | None = Field(
+        default=None, description="elements round a quarter of the hole, or half of a notch, even"
+    )
+    radial: Count | None = Field(default=None, description="elements from the hole or notch to the square round it")
     growth: Positive = Field(
         default=1.0, description="[1] size of the outermost element of a ray over that of the one at the hole"
     )
-    beyond: Natural = Field(default=0, description="columns of elements between the square and each end; with a hole")
-    columns: Count | None = Field(default=None, description="elements along x; without a hole")
-    rows: Count | None = Field(default=None, description="elements along y; without a hole")
+    beyond: Natural = Field(
+        default=0, description="columns of elements between the square and each end; with a hole or notches"
+    )
+    columns: Count | None = Field(default=None, description="elements along x; without hole and notches")
+    rows: Count | None = Field(default=None, description="elements along y; without hole and notches")
     bricks_per_ply: Count = Field(default=1, description="elements through a ply")
     mean_dilatation: bool = Field(
         default=False,
@@ -64,11 +80,31 @@ class Increments(Part):
     tolerance: Positive = Field(
         default=1e-6, description="[1] largest force out of balance at a free node over the largest of all"
     )
+    viscosity: NonNegative = Field(
+        default=0.0,
+        description="[1] part of the whole load over which the damage of cohesive layers follows: in an increment d of"
+        " the load it goes d / (d + viscosity) of the way",
+        json_schema_extra=since(1, 5),
+    )
+    dissipation: Positive | None = Field(
+        default=None,
+        description="[J] of the whole laminate: an increment of the load that takes more than this, or that is not"
+        " found, is made again so that it takes this, and so are those after it while the load rises by less than"
+        " `most` in each; the load may fall. Refused with `viscosity`, and where something fails without"
+        " `fracture_energy`, yields or is not at its stress-free temperature. absent: increments are by the load",
+        json_schema_extra=since(1, 5),
+    )
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
         if not self.least <= self.first <= self.most:
             raise wrong("first", f"is {self.first:g}; it must lie between least and most")
+        return self
+
+    @model_validator(mode="after")
+    def _one_control(self) -> Self:
+        if self.dissipation is not None and self.viscosity:
+            raise wrong("dissipation", "is given beside a viscosity; give one of the two")
         return self
 
 
@@ -78,6 +114,12 @@ class StructureConfigure(RegisterCell):
     length: Positive = Field(description="[m] along x")
     width: Positive = Field(description="[m] along y")
     hole_diameter: Positive | None = Field(default=None, description="[m] in the middle; absent: no hole")
+    notch_diameter: Positive | None = Field(
+        default=None,
+        description="[m] of two half-round notches in the middle of both sides, meshed as a hole is; not with"
+        " `hole_diameter`; absent: none",
+        json_schema_extra=since(1, 5),
+    )
     angles: list[Finite] = Field(min_length=1, description="[rad] of each ply from x towards y, from the lowest up")
     ply_thickness: Positive = Field(description="[m] of each ply")
     quarter: bool = Field(
@@ -96,6 +138,38 @@ class StructureConfigure(RegisterCell):
         default="elimination", description="`none`: subcells do not fail, whatever their allowables"
     )
     micromechanics: str = Field(description="endpoint of a service of the role `micromechanics`")
+    plane_nodes: Annotated[FloatArray, ArraySpec("<f8", ("plane_nodes", 2), "m")] | None = Field(
+        default=None,
+        description="nodes of a mesh of the plane that is given, not made; x and y from the middle of the laminate;"
+        " with `plane_elements`. The outline, holes and all, is that of the mesh: of `mesh` only `bricks_per_ply` and"
+        " `mean_dilatation` are used, `hole_diameter` and"
+        " `notch_diameter` are not",
+        json_schema_extra=since(1, 5),
+    )
+    plane_elements: Annotated[IntArray, ArraySpec("<i8", ("plane_elements", 4))] | None = Field(
+        default=None,
+        description="nodes of each quadrilateral, counterclockwise; together from end to end and from side to side of"
+        " the part that is modelled",
+        json_schema_extra=since(1, 5),
+    )
+
+    @model_validator(mode="after")
+    def _hole_or_notches(self) -> Self:
+        if self.notch_diameter is not None and self.hole_diameter is not None:
+            raise wrong("notch_diameter", "is given beside hole_diameter; give one of the two")
+        return self
+
+    @model_validator(mode="after")
+    def _plane_is_whole(self) -> Self:
+        nodes, elements = self.plane_nodes, self.plane_elements
+        if (nodes is None) != (elements is None):
+            missing, given = ("plane_nodes", "plane_elements") if nodes is None else ("plane_elements", "plane_nodes")
+            raise wrong(missing, f"is missing beside {given}; give both or none")
+        if nodes is not None and elements is not None:
+            if not len(elements):
+                raise wrong("plane_elements", "is empty; a mesh has at least one element")
+            check_indices("plane_elements", elements.reshape(-1), len(nodes))
+        return self
 
 
 class StructureConfigured(Message):
@@ -122,6 +196,11 @@ class StructureAdvance(Message):
     """Make one increment, as large as it can be made."""
 
     largest: Fraction = Field(default=1.0, description="[1] not larger than this part of the whole load")
+    watched: list[Natural] = Field(
+        default_factory=list,
+        description="bricks of which strain, stress and the stress of subcells are answered",
+        json_schema_extra=since(1, 5),
+    )
 
 
 class StructureAdvanced(Message):
@@ -147,4 +226,28 @@ class StructureAdvanced(Message):
     )
     seconds: dict[str, NonNegative] = Field(
         description="[s] of this increment: assembly, factorisation, solution, micromechanics, of which wire"
+    )
+    work: Finite = Field(
+        default=0.0,
+        description="[J] of the ends of the whole laminate so far, trapezoidal over the increments",
+        json_schema_extra=since(1, 5),
+    )
+    viscous_energy: Finite = Field(
+        default=0.0,
+        description="[J] that the viscosity of the cohesive layers of the whole laminate has taken so far",
+        json_schema_extra=since(1, 5),
+    )
+    watched_strain: Annotated[FloatArray, ArraySpec("<f8", ("watched", 6))] | None = Field(
+        default=None,
+        description="of each watched brick in the axes of its ply, mean of its points; absent where none is watched",
+        json_schema_extra=since(1, 5),
+    )
+    watched_stress: Annotated[FloatArray, ArraySpec("<f8", ("watched", 6), "Pa")] | None = Field(
+        default=None, description="likewise", json_schema_extra=since(1, 5)
+    )
+    watched_subcells: Annotated[FloatArray, ArraySpec("<f8", ("watched", "subcells", 6), "Pa")] | None = Field(
+        default=None,
+        description="stress of each subcell of the cell, mean of the brick's points, each in its own state: its mean by"
+        " area over the subcells is `watched_stress`",
+        json_schema_extra=since(1, 5),
     )

@@ -22,7 +22,7 @@ class Version(NamedTuple):
 
 
 OLDEST = Version(1, 0)
-NEWEST = Version(1, 4)
+NEWEST = Version(1, 5)
 
 
 def agree(

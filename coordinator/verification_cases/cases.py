@@ -1,4 +1,4 @@
-"""All cases `coupling/...` of `scalebridge verify`."""
+"""All cases `coupling/...` of `scalebridge verify`, and `structure/material-points`."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from coordinator.verification_cases import (
     energy_books,
     full_atomistic,
     k_field,
+    laminate_points,
     momentum,
     patch,
     phonon,
@@ -21,6 +22,7 @@ CASES: list[Case] = [
     case
     for module in (
         theory_1d, patch, rigid, wave, phonon, energy_books, momentum, k_field, stability, full_atomistic, swap,
+        laminate_points,
     )
     for case in module.CASES
 ]  # fmt: skip

@@ -2,7 +2,17 @@
 
 from __future__ import annotations
 
-from fem_service.verification import cohesive_beams, elements, laminate_stiffness, open_hole_elastic
+from fem_service.verification import (
+    calculix,
+    cohesive_beams,
+    elements,
+    laminate_stiffness,
+    oht_mesh,
+    oht_quasi_isotropic,
+    oht_size,
+    oht_speed,
+    open_hole_elastic,
+)
 from protocol.verification import Case
 
 CASES: list[Case] = [
@@ -10,4 +20,9 @@ CASES: list[Case] = [
     *open_hole_elastic.CASES,
     *laminate_stiffness.CASES,
     *cohesive_beams.CASES,
+    *calculix.CASES,
+    *oht_mesh.CASES,
+    *oht_quasi_isotropic.CASES,
+    *oht_size.CASES,
+    *oht_speed.CASES,
 ]

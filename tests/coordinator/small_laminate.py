@@ -8,14 +8,18 @@ import numpy as np
 
 from coordinator.laminate_results import SERIES, Frame, LaminateResults
 from coordinator.laminate_scene import load_laminate
+from coordinator.watched_places import WatchedPlaces
 
 SCENE = Path(__file__).parents[2] / "scenes" / "oht_cross_ply.toml"
 PEAK = 4.5e8
 INCREMENTS = 6
 
 
-def small_laminate(increments: int = INCREMENTS, cohesive: bool = False) -> LaminateResults:
-    """Two plies of 4 x 3 bricks; the stress peaks at the fifth increment, the upper matrix fails from the third."""
+def small_laminate(increments: int = INCREMENTS, cohesive: bool = False, watched: bool = True) -> LaminateResults:
+    """Two plies of 4 x 3 bricks; the stress peaks at the fifth increment, the upper matrix fails from the third.
+
+    Of two watched bricks the first breaks at the last increment.
+    """
     scene = load_laminate(SCENE)
     x, y, z = (np.linspace(0.0, extent, count) for extent, count in ((4e-3, 5), (3e-3, 4), (5e-4, 3)))
     number = np.arange(3 * 4 * 5).reshape(3, 4, 5)  # by z, y, x
@@ -34,6 +38,7 @@ def small_laminate(increments: int = INCREMENTS, cohesive: bool = False) -> Lami
         ply=np.repeat(np.arange(2), 12).astype(np.int64),
         section=3e-6,
         versions={"scalebridge": "0.7"},
+        watched=_watched() if watched else None,
     )  # fmt: skip
     chance = np.random.default_rng(3)
     for step in range(1, increments + 1):
@@ -49,6 +54,11 @@ def small_laminate(increments: int = INCREMENTS, cohesive: bool = False) -> Lami
         }
         for name, series in results.series.items():
             series.append(values[name])
+        if results.watched is not None:
+            borne = np.array([step if step < 6 else 1e-3, step])
+            results.watched.strain.append(2e-3 * step * np.eye(2, 6))
+            results.watched.stress.append(1e8 * borne[:, None] * np.eye(2, 6))
+            results.watched.subcells.append(1e8 * np.einsum("w,n,wi->wni", borne, [1.6, 0.5, 0.1, 0.1], np.eye(2, 6)))
         failures = np.zeros((2, 2), dtype=np.int64)
         failures[1, 1] = 10 * (step - 2) if step > 2 else 0
         failures[0, 0] = 96 if step == 6 else 0
@@ -70,3 +80,15 @@ def small_laminate(increments: int = INCREMENTS, cohesive: bool = False) -> Lami
                 Frame(step, strain, chance.normal(size=(60, 3)), 1e8 * chance.normal(size=(24, 6)), failed)
             )
     return results
+
+
+def _watched() -> WatchedPlaces:
+    """A brick of each ply; a cell of a fibre and three subcells of matrix."""
+    return WatchedPlaces(
+        bricks=np.array([0, 12]),
+        centres=np.array([[5e-4, 5e-4, 1.25e-4], [5e-4, 5e-4, 3.75e-4]]),
+        angles=np.array([0.0, 90.0]),
+        plies=np.array([0, 1]),
+        materials=np.array([0, 1, 1, 1]),
+        shares=np.array([0.58, 0.14, 0.07, 0.21]),
+    )

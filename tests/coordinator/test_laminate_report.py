@@ -55,7 +55,14 @@ def test_a_finished_run_shows_curve_maps_sequence_and_numbers(tmp_path: Path) ->
     text = page(tmp_path, results, summary(results))
     assert "It bears 450\u00a0MPa at 1\u00a0% elongation." in text and '"status" style' in text
     assert "Small &lt;laminate&gt;" in text and "<laminate>" not in text
-    for title in ("Mean stress against elongation", "What has failed", "von Mises stress at 0.8 %", "Failed matrix at"):
+    for title in (
+        "Average traction against strain, load against displacement",
+        "Ply 1 (0°) at x = 0.5 mm, y = 0.5 mm",
+        "Ply 2 (90°) at x = 0.5 mm",
+        "What has failed",
+        "von Mises stress at 0.8 %",
+        "Failed matrix at",
+    ):
         assert f"<h3>{title}" in text, title
     assert "<h3>Failed fibre" not in text  # no frame after it
     assert all(event["sentence"] in text for event in results.events)
@@ -65,7 +72,7 @@ def test_a_finished_run_shows_curve_maps_sequence_and_numbers(tmp_path: Path) ->
     assert numbers["Elongation at the first failure"] == "0.6"
     assert numbers["Stiffness at the start, hole included"] == "45"
     kinds = [kind for kind, _ in images(text)]
-    assert kinds.count("png") == 2 and kinds.count("svg+xml") == 3
+    assert kinds.count("png") == 2 and kinds.count("svg+xml") == 5
     for kind, data in images(text):
         if kind == "png":
             picture = matplotlib.image.imread(io.BytesIO(data))
@@ -73,6 +80,49 @@ def test_a_finished_run_shows_curve_maps_sequence_and_numbers(tmp_path: Path) ->
         else:
             assert ElementTree.fromstring(data).tag.endswith("svg")
     assert "<script" not in text and "http" not in re.sub(r'base64,[^"]*', "", text)
+
+
+def test_curves_of_subcells_are_along_the_pull(tmp_path: Path) -> None:
+    """Of a brick that has failed the axis ends where the stress does; a ply across the pull is turned."""
+    results = small_laminate()
+    watched = results.watched
+    assert watched is not None
+    macro, subcells = watched.stress_along_pull(0)
+    assert macro == pytest.approx(1e8 * np.array([1, 2, 3, 4, 5, 1e-3]))
+    assert subcells == pytest.approx(np.outer(macro, [1.6, 0.5, 0.1, 0.1]))
+    assert watched.strain_along_pull(0) == pytest.approx(2e-3 * np.arange(1, 7))
+    assert watched.strain_along_pull(1) == pytest.approx(2e-3 * np.arange(1, 7))  # its axis 2 lies along x
+    assert watched.stress_along_pull(1)[0] == pytest.approx(1e8 * np.arange(1, 7))
+    text = page(tmp_path, results, summary(results))
+    assert "<h2>Microstructure" in text and "Brick 12; one point an increment.<" in text
+    assert "<h2>Microstructure" not in page(tmp_path, small_laminate(watched=False), None)
+
+
+def test_an_angle_turns_stress_and_strain_back_to_the_pull() -> None:
+    """A ply at 30 degrees under a known state, turned by the tensors themselves."""
+    watched = small_laminate(1).watched
+    assert watched is not None
+    watched.angles[0] = 30.0
+    c, s = np.cos(np.pi / 6), np.sin(np.pi / 6)
+    axes = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])  # rows: axes of the ply in the laminate
+    state = np.array([3.0, 1.0, 0.5, 0.2, -0.4, 0.7])
+    tensor = state[[[0, 5, 4], [5, 1, 3], [4, 3, 2]]]
+    watched.stress[0][0] = state
+    watched.strain[0][0] = state * [1, 1, 1, 2, 2, 2]
+    wanted = (axes.T @ tensor @ axes)[0, 0]
+    assert watched.stress_along_pull(0)[0] == pytest.approx([wanted], rel=1e-12)
+    assert watched.strain_along_pull(0) == pytest.approx([wanted], rel=1e-12)
+
+
+def test_energy_of_viscosity_is_a_key_number(tmp_path: Path) -> None:
+    results = small_laminate()
+    results.series["work"], results.series["viscous_energy"] = [2.0] * 6, [0.1] * 6
+    numbers = dict(
+        re.findall(r"<tr><td>([^<]*)</td><td class=n>([^<]*)</td>", page(tmp_path, results, summary(results)))
+    )
+    assert numbers["Of that taken by the viscosity of cohesive layers"] == "5" and numbers["Work of the ends"] == "2"
+    results.series["viscous_energy"] = [0.0] * 6
+    assert "viscosity" not in page(tmp_path, results, summary(results)).split("Key numbers")[1].split("Do it again")[0]
 
 
 def test_cohesive_layers_have_a_figure(tmp_path: Path) -> None:

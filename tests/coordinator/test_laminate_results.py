@@ -21,6 +21,11 @@ def same(one: LaminateResults, other: LaminateResults) -> None:
         assert first.dtype == second.dtype and first.tobytes() == second.tobytes(), name
     for name in ("new_failures", "layer_damage"):
         assert [row.tolist() for row in getattr(one, name)] == [row.tolist() for row in getattr(other, name)]
+    assert (one.watched is None) == (other.watched is None)
+    if one.watched is not None and other.watched is not None:
+        for name in ("bricks", "centres", "angles", "plies", "materials", "shares", "strain", "stress", "subcells"):
+            first, second = getattr(one.watched, name), getattr(other.watched, name)
+            assert np.array_equal(np.array(first), np.array(second)), name
     assert len(one.frames) == len(other.frames)
     for first, second in zip(one.frames, other.frames, strict=True):
         assert (first.step, first.strain) == (second.step, second.strain)
@@ -36,6 +41,14 @@ def test_what_is_written_is_read_back(tmp_path: Path, increments: int, cohesive:
     same(LaminateResults.read(tmp_path / "results.h5"), results)
     assert [path.name for path in tmp_path.iterdir()] == ["results.h5"]
     assert holds_laminate(tmp_path)
+
+
+def test_a_run_that_watches_nothing_has_no_such_group(tmp_path: Path) -> None:
+    results = small_laminate(watched=False)
+    results.write(tmp_path / "results.h5")
+    with h5py.File(tmp_path / "results.h5") as file:
+        assert "watched" not in file
+    same(LaminateResults.read(tmp_path / "results.h5"), results)
 
 
 def test_cut_results_are_those_of_a_shorter_run(tmp_path: Path) -> None:

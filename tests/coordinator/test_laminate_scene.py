@@ -94,7 +94,7 @@ def test_planes_of_symmetry_follow_from_the_layup(
         ('"0.25 mm"', '"0.25 K"', 'laminate.ply_thickness = "0.25 K": must be a length'),
         ('"0.25 mm"', '"-0.25 mm"', 'laminate.ply_thickness = "-0.25 mm": must be '),
         ('"3.175 mm"', '"8 mm"', 'laminate.hole_diameter = "8 mm": must be less than the width'),
-        ('length = "8 mm"', 'length = "4 mm"', 'laminate.length = "4 mm": must be at least the width, where there is'),
+        ('length = "8 mm"', 'length = "4 mm"', 'laminate.length = "4 mm": must be at least the width of a'),
         ('length = "8 mm"', 'length = "16 mm"', "mesh.beyond: must be at least 1, since the plate is longer than wide"),
         ("growth = 3.0", "beyond = 2", "mesh.beyond = 2: must be 0, since the plate is square"),
         ("growth = 3.0", "growth = 0", "mesh.growth = 0: must be greater than 0"),
@@ -107,6 +107,15 @@ def test_planes_of_symmetry_follow_from_the_layup(
         ("final_strain = 0.012", "final_strain = 0", "load.final_strain = 0: must be greater than 0"),
         ("final_strain = 0.012", "final_strain = 0.01\nfirst = 0.2", "load.first = 0.2: must lie between load.least"),
         ("final_strain = 0.012", "final_strain = 0.01\nstop_below = 1", "load.stop_below = 1: must be less than 1"),
+        ("final_strain = 0.012", "final_strain = 0.01\nviscosity = -1", "load.viscosity = -1: must be "),
+        ("final_strain = 0.012", 'final_strain = 0.01\ndissipation = "2 mm"',
+         'load.dissipation = "2 mm": must be a'),
+        ("final_strain = 0.012", 'final_strain = 0.01\nviscosity = 1e-4\ndissipation = "2 mJ"',
+         'load.dissipation = "2 mJ": cannot stand beside load.viscosity'),
+        ('hole_diameter = "3.175 mm"', 'hole_diameter = "3.175 mm"\nnotch_diameter = "1 mm"',
+         'laminate.notch_diameter = "1 mm": cannot stand beside laminate.hole_diameter'),
+        ('hole_diameter = "3.175 mm"', 'notch_diameter = "9 mm"',
+         'laminate.notch_diameter = "9 mm": must be less than the width'),
         ("[micromechanics]", "[micromechanics]\nworkers = 0", "micromechanics.workers = 0: must be "),
         ("[micromechanics]", "[micromechanics]\nbackends = 3", "micromechanics.backends: is no key of this table; did"),
         (str(CELL), "no.toml", 'micromechanics.cell = "no.toml": there is no such file in '),
@@ -135,6 +144,49 @@ def test_mistakes_of_cohesive_layers(tmp_path: Path, old: str, new: str, line: s
     assert any(one.startswith(line) for one in found), found
 
 
+WATCHED = """
+[[output.watched]]
+x = "-1 mm"
+y = "1.7 mm"
+ply = 1
+[[output.watched]]
+x = "0 mm"
+y = "-2 mm"
+ply = 4
+"""
+
+
+def test_watched_places_lie_in_the_part_that_is_modelled(tmp_path: Path) -> None:
+    scene = read(tmp_path, SCENE + WATCHED)
+    places = [scene.modelled_place(place) for place in scene.output.watched]
+    assert places == [(pytest.approx(1e-3), pytest.approx(1.7e-3), 0), (0.0, pytest.approx(2e-3), 0)]
+    scene = read(tmp_path, SCENE + WATCHED, "laminate.symmetry=false")
+    places = [scene.modelled_place(place) for place in scene.output.watched]
+    assert places == [(pytest.approx(-1e-3), pytest.approx(1.7e-3), 0), (0.0, pytest.approx(-2e-3), 3)]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        ("ply = 4", "ply = 5", "output.watched.1.ply = 5: must be 1 to 4"),
+        ("ply = 4", "ply = 0", "output.watched.1.ply = 0: must be greater than 0"),
+        ("ply = 4", "", "output.watched.1.ply: is missing"),
+        ('"-1 mm"', '"-5 mm"', 'output.watched.0.x = "-5 mm": must lie between -4 mm and 4 mm'),
+        ('"-1 mm"', "-1", "output.watched.0.x = -1: must be a length with its unit"),
+    ],
+)
+def test_mistakes_of_watched_places(tmp_path: Path, old: str, new: str, line: str) -> None:
+    assert old in WATCHED
+    found = problems(tmp_path, SCENE + WATCHED.replace(old, new))
+    assert any(one.startswith(line) for one in found), found
+
+
+def test_a_plate_with_notches_is_meshed_as_one_with_a_hole(tmp_path: Path) -> None:
+    scene = read(tmp_path, SCENE.replace("hole_diameter", "notch_diameter"))
+    assert plane_elements(scene) == 8 * 6
+    assert "notches 3.175 mm" in describe_laminate(scene)
+
+
 def test_all_mistakes_are_told_at_once(tmp_path: Path) -> None:
     wrong = SCENE.replace('"[0/90]s"', '"0/90"').replace("around = 8", "around = 7").replace("0.012", "-1")
     found = problems(tmp_path, wrong)
@@ -155,7 +207,7 @@ def test_only_files_with_the_table_are_laminates(tmp_path: Path) -> None:
     assert not is_laminate(tmp_path / "missing.toml")
 
 
-@pytest.mark.parametrize("file", sorted(SCENES.glob("oht_*.toml")), ids=lambda file: file.stem)
+@pytest.mark.parametrize("file", sorted(filter(is_laminate, SCENES.glob("*.toml"))), ids=lambda file: file.stem)
 def test_scenes_of_the_product_are_sound(file: Path) -> None:
     scene = load_laminate(file)
     text = describe_laminate(scene)

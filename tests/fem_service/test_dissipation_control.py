@@ -73,6 +73,8 @@ def test_wrong_arguments_are_named() -> None:
     bar = soft_bar(False)
     with pytest.raises(ValueError, match="dissipation is 0"):
         advance_by_dissipation(bar, bar.rest(), 0.0)
+    with pytest.raises(ValueError, match=r"force is 0\.0 at the start"):
+        advance_by_dissipation(bar, bar.rest(), 1.0)
     bar.viscosity = 1.0
     with pytest.raises(ValueError, match=r"viscosity is 1\.0"):
         advance_by_dissipation(bar, bar.rest(), 1.0)

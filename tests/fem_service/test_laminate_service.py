@@ -240,7 +240,7 @@ def test_a_state_that_does_not_fit_is_refused_and_changes_nothing(laminate: Lami
         ({**saved.state, "displacement": saved.state["displacement"].astype("<f4")}, 1, "state"),
         ({name: array for name, array in saved.state.items() if name != "history"}, 1, "state"),
         ({**saved.state, "stress": stress}, 1, "state"),
-        ({**saved.state, "numbers": saved.state["numbers"] * np.array([20.0, 1, 1, 1, 1])}, 1, "state"),
+        ({**saved.state, "numbers": saved.state["numbers"] * np.array([20.0, *np.ones(7)])}, 1, "state"),
         (saved.state, 2, "step"),
     ):
         asked = RestoreRequest.model_construct(step=step, state=state)
@@ -255,8 +255,8 @@ def test_a_state_that_does_not_fit_is_refused_and_changes_nothing(laminate: Lami
 @pytest.mark.parametrize(
     ("changes", "field", "sentence"),
     [
-        ({"mesh": s.PlateMesh(radial=3)}, "mesh.around", "a plate with a hole needs it"),
-        ({"mesh": s.PlateMesh(around=4)}, "mesh.radial", "a plate with a hole needs it"),
+        ({"mesh": s.PlateMesh(radial=3)}, "mesh.around", "a plate with a hole or notches needs it"),
+        ({"mesh": s.PlateMesh(around=4)}, "mesh.radial", "a plate with a hole or notches needs it"),
         ({"mesh": s.PlateMesh(around=3, radial=3)}, "mesh", "around is 3; it must be even"),
         ({"mesh": s.PlateMesh(around=4, radial=3, beyond=2)}, "mesh", "beyond is 2; it must be 0"),
         ({"hole_diameter": 9e-3}, "mesh", "diameter is 0.009 m"),

@@ -24,12 +24,17 @@ SOFT = CohesiveLaw(1e14, 60e6, 90e6, 200.0, 1000.0, 1.0)
 class SuddenDeath:
     """A material that keeps a share of its stiffness for good from a strain along x on."""
 
+    softens = False
+
     def __init__(self, limit: float, left: float) -> None:
         self.limit = limit
         self.tangents = np.array([PLY, left * PLY])
 
     def fresh(self, points: int) -> PointState:
         return PointState(np.zeros((points, 1), np.uint8), np.zeros((points, 0)))
+
+    def intact(self, points: int) -> PointAnswer:
+        return self.respond(np.zeros((points, 6)), self.fresh(points), np.zeros(points))
 
     def respond(self, strain: np.ndarray, state: PointState, element_length: np.ndarray) -> PointAnswer:
         failed = np.maximum(state.failed, (strain[:, :1] > self.limit).astype(np.uint8))
@@ -49,6 +54,50 @@ def split_bar(law: CohesiveLaw, viscosity: float = 0.0) -> QuasiStatic:
     freedoms = np.flatnonzero(held)
     grips = Grips(freedoms, moves.reshape(-1)[freedoms])
     return QuasiStatic(mesh, ElasticMaterial(PLY), grips, law=law, tolerance=1e-10, viscosity=viscosity)
+
+
+class Cooled(ElasticMaterial):
+    """An elastic material that has shrunk, and by different parts along and across its fibres."""
+
+    shrunk = np.array([1e-4, -3e-3, -3e-3, 0.0, 0.0, 0.0])
+
+    def respond(self, strain: np.ndarray, state: PointState, element_length: np.ndarray) -> PointAnswer:
+        return super().respond(strain - self.shrunk, state, element_length)
+
+
+def test_a_ply_that_has_cooled_is_free_of_stress_and_measured_from_there() -> None:
+    mesh = stack(rectangle(4e-3, 2e-3, 4, 2), np.zeros(1), 0.25e-3)
+    rest = QuasiStatic(mesh, Cooled(PLY), tension_grips(mesh)).rest()
+    assert np.abs(rest.stress).max() < 1e-9 * np.abs(PLY @ Cooled.shrunk).max()
+    for axis, extent in enumerate((4e-3, 2e-3, 0.25e-3)):
+        moved = rest.displacement[:, axis]
+        ends = [moved[mesh.nodes[:, axis] == place].mean() for place in (0.0, extent)]
+        assert ends[1] - ends[0] == pytest.approx(Cooled.shrunk[axis] * extent, rel=1e-9)
+
+
+def test_a_laminate_that_has_cooled_is_pulled_as_one_that_has_not() -> None:
+    mesh = stack(rectangle(4e-3, 2e-3, 4, 2), np.array([0.4, -0.2]), 0.25e-3)
+    cooled, plain = (QuasiStatic(mesh, ply, tension_grips(mesh)) for ply in (Cooled(PLY), ElasticMaterial(PLY)))
+    rest = cooled.rest()
+    assert np.abs(rest.stress).max() > 1e6
+    pulled, like = cooled.advance(rest, 4e-6), plain.advance(plain.rest(), 4e-6)
+    assert pulled.force == pytest.approx(like.force, rel=1e-9)
+    np.testing.assert_allclose(pulled.stress - rest.stress, like.stress, atol=1e-9 * np.abs(like.stress).max())
+
+
+def test_stresses_of_a_cooled_cross_ply_are_those_of_lamination_theory() -> None:
+    # Wide: along its free edges a laminate is not as the theory says, and both share the force.
+    mesh = stack(rectangle(8e-3, 80e-3, 8, 80), np.radians([0.0, 90.0]), 0.25e-3)
+    problem = QuasiStatic(mesh, Cooled(PLY), tension_grips(mesh, lower_half=True))
+    rest = problem.rest()
+    # Plane stress in each ply; the mean over both plies is free of force.
+    plane = PLY[:2, :2] - np.outer(PLY[:2, 2], PLY[2, :2]) / PLY[2, 2]
+    across, shrunk = plane[::-1, ::-1], Cooled.shrunk[:2]
+    common = np.linalg.solve(plane + across, plane @ shrunk + across @ shrunk[::-1])
+    middle = np.argsort(np.abs(mesh.nodes[mesh.bricks].mean(axis=1)[:, 1] - 40e-3))[:16]
+    for ply, wanted in ((0, plane @ (common - shrunk)), (1, across @ (common - shrunk[::-1]))):
+        found = rest.stress[middle[mesh.ply[middle] == ply]].mean(axis=(0, 1))
+        np.testing.assert_allclose(found[:2], wanted, rtol=2e-3)
 
 
 def test_one_ply_is_a_bar() -> None:

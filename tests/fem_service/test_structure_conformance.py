@@ -43,7 +43,7 @@ class ForgetsThatItIsAQuarter(LaminateService):
     def configure(self, request: s.StructureConfigure) -> s.StructureConfigured:
         found = super().configure(request)
         if request.quarter and self._problem is not None:
-            self._problem.force_share /= 2.0
+            self._problem.share /= 2.0
         return found
 
 
@@ -100,7 +100,7 @@ class ForgetsTheSize(LaminateService):
 class TakesAnyStep(LaminateService):
     def restore(self, request: RestoreRequest) -> Restored:
         numbers = request.state.get("numbers")
-        step = int(numbers[-1]) if numbers is not None and numbers.ndim == 1 and len(numbers) == 5 else request.step
+        step = int(numbers[-1]) if numbers is not None and numbers.ndim == 1 and len(numbers) == 8 else request.step
         found = super().restore(request.model_copy(update={"step": step}))
         self._step = request.step
         return found.model_copy(update={"step": request.step})
@@ -112,6 +112,25 @@ class RowsOfPoints(LaminateService):
         if "stress" not in found.fields:
             return found
         return found.model_copy(update={"fields": {**found.fields, "stress": np.repeat(found.fields["stress"], 8, 0)}})
+
+
+class WorkOfTheModelledPart(LaminateService):
+    def advance(self, request: s.StructureAdvance) -> s.StructureAdvanced:
+        made = super().advance(request)
+        return made.model_copy(update={"work": 0.5 * made.work})
+
+
+class WatchesOneBrick(LaminateService):
+    def advance(self, request: s.StructureAdvance) -> s.StructureAdvanced:
+        return super().advance(request.model_copy(update={"watched": request.watched[:1]}))
+
+
+class MakesItsOwnMesh(LaminateService):
+    def configure(self, request: s.StructureConfigure) -> s.StructureConfigured:
+        if request.plane_nodes is not None:
+            nodes = request.plane_nodes * np.array([1.0, 0.9])
+            request = request.model_copy(update={"plane_nodes": nodes, "width": 0.9 * request.width})
+        return super().configure(request)
 
 
 class DropsTheOldLaminate(LaminateService):
@@ -138,6 +157,9 @@ BROKEN: list[tuple[str, type[LaminateService]]] = [
     ("checkpoint: going back", ForgetsTheSize),
     ("restore: a state", TakesAnyStep),
     ("fields: each named", RowsOfPoints),
+    ("watched: bricks", WorkOfTheModelledPart),
+    ("watched: bricks", WatchesOneBrick),
+    ("mesh: a given one", MakesItsOwnMesh),
     ("wrong fields: none of them", DropsTheOldLaminate),
     ("control: status while it waits", DeafToAbort),
 ]

@@ -83,6 +83,7 @@ def test_settings_failure_and_plasticity(tmp_path: Path) -> None:
     )
     text += """
 fracture_energy = "200 J/m^2"
+reduces_strength = true
 alpha = "55e-6 1/K"
 plasticity = { yield_stress = "60 MPa", hardening = "0.4 GPa" }
 [[materials.matrix.failure]]
@@ -101,7 +102,7 @@ shear = [0.05, 0.06, "none"]
     assert matrix.failures[0].tension == (90e6, 90e6, 90e6) and matrix.failures[0].shear == (inf, inf, inf)
     assert matrix.failures[0].compression == (150e6, inf, 160e6)
     assert matrix.failures[1].criterion == "maximum_strain" and matrix.failures[1].shear == (0.05, 0.06, inf)
-    assert matrix.fracture_energy == 200.0 and matrix.plasticity is not None
+    assert matrix.fracture_energy == 200.0 and matrix.reduces_strength and matrix.plasticity is not None
     assert (matrix.plasticity.yield_stress, matrix.plasticity.hardening) == (60e6, 0.4e9)
     assert matrix.expansion[0].tolist() == [55e-6, 55e-6, 55e-6, 0.0, 0.0, 0.0]
 

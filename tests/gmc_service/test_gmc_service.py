@@ -14,7 +14,7 @@ from cell_definitions import material, query, random_cell, same_bits, square_fib
 from gmc_service import service as gmc
 from gmc_service.backend import BACKEND, HIGH_FIDELITY, MORI_TANAKA
 from gmc_service.cell import Cell
-from gmc_service.front import Executor, Front, Job, parts_of
+from gmc_service.front import Executor, Front, Job, is_slow, parts_of
 from gmc_service.kept_cells import MOST_CELLS, KeptCells
 from gmc_service.material import Failure, Material, Plasticity, isotropic_stiffness
 from gmc_service.service import MicromechanicsService, cell_of, definition_of, make_gmc
@@ -203,6 +203,7 @@ def test_a_definition_is_the_cell_to_the_bit() -> None:
         "all of it", np.array([250.0, 300.0]), np.stack([isotropic_stiffness(3e9, 0.3), isotropic_stiffness(2e9, 0.3)]),
         np.array([[1e-5] * 3 + [0.0] * 3, [2e-5] * 3 + [0.0] * 3]),
         (Failure("hashin", (1e8, np.inf, 2e8), shear=(np.inf, 3e7, np.inf)),), 120.0, Plasticity(5e7, 1e8),
+        reduces_strength=True,
     )  # fmt: skip
     cell = Cell(
         np.array([0.1, 0.7]), np.array([0.3]), np.array([[0], [0]]), (plastic,), 280.0, 0.25, after_failure="floor"
@@ -211,6 +212,7 @@ def test_a_definition_is_the_cell_to_the_bit() -> None:
     arrived = type(message).from_parts(message.plain_values(), message.array_values())
     assert cell_of(arrived).identity() == cell.identity()
     assert cell_of(arrived).materials[0].failures == plastic.failures
+    assert cell_of(arrived).materials[0].reduces_strength
 
 
 @pytest.mark.parametrize("size", [1e-300, 1e-30, 1e3, 1e30, 1e150, 1e300])
@@ -337,6 +339,11 @@ def test_the_answer_does_not_depend_on_the_number_of_workers(workers: int) -> No
 
 def test_a_small_query_is_one_part_and_a_large_one_many() -> None:
     assert [parts_of(points, 4) for points in (0, 1, 8191, 8192, 16_384, 1_000_000, 2_000_000)] == [1, 1, 1, 2, 4, 4, 8]
+    assert [parts_of(points, 2, slow=True) for points in (0, 2047, 2048, 6000)] == [1, 1, 2, 2]
+    cell = square_fibre()
+    soft = [one.model_copy(update={"fracture_energy": 100.0}) for one in cell.materials]
+    assert not is_slow(cell) and is_slow(cell.model_copy(update={"materials": soft}))
+    assert is_slow(cell.model_copy(update={"phase": np.zeros((5, 4), np.int64)}))
     executor = Threads(4)
     front = Front("gmc_service", executor)
     name = front.register(square_fibre()).cell

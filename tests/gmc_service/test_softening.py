@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from failing_cells import INF, fibre
@@ -11,6 +13,7 @@ from gmc_service.cell import Cell
 from gmc_service.evaluation import Answer, Evaluator
 from gmc_service.mask_table import unpack_mask
 from gmc_service.material import Criterion, Failure, Material, constant_material, isotropic_stiffness
+from gmc_service.safe_energy import safe_energy
 
 YOUNG, STRENGTH, ENERGY = 3e9, 60e6, 200.0
 #: Above it an element of this material would snap back under uniaxial stress.
@@ -293,3 +296,97 @@ def test_cells_that_cannot_soften_are_refused() -> None:
         Evaluator(Cell(np.ones(1), np.ones(1), one, (softening(),), after_failure="floor"))
     with pytest.raises(ValueError, match="method is 'gmc_dense'; a cell with fracture_energy takes gmc"):
         Evaluator(Cell(np.ones(1), np.ones(1), one, (softening(),)), "gmc_dense")
+
+
+def reduced(cell: Cell) -> Cell:
+    """The same cell; its materials reduce their strength in long elements."""
+    return dataclasses.replace(
+        cell, materials=tuple(dataclasses.replace(one, reduces_strength=True) for one in cell.materials)
+    )
+
+
+@pytest.mark.parametrize("component", range(6))
+@pytest.mark.parametrize("length", [1.5, 4.0, 30.0])
+def test_a_long_element_has_the_strength_that_its_energy_allows(component: int, length: float) -> None:
+    """It fails at sqrt(2 E G_c / l), Bazant and Oh, and what it then held is G_c for its area."""
+    evaluator = Evaluator(reduced(Cell(np.ones(1), np.ones(1), np.array([[0]]), (softening(),), knock_down=1e-8)))
+    lengths = np.array([length * LONGEST])
+    modulus = YOUNG if component < 3 else 0.5 * YOUNG
+    strength = np.sqrt(2.0 * modulus * ENERGY / lengths[0])
+    assert strength < STRENGTH / (1.0 if component < 3 else np.sqrt(2.0))
+    below, above = (
+        ask_at(evaluator, factor * strength / modulus * axis(component), lengths) for factor in (0.999, 1.001)
+    )
+    assert below.stress[0, component] == pytest.approx(0.999 * strength, rel=1e-9)
+    assert not below.failed.any() and not below.history.any()
+    assert above.failed.tolist() == [[1]]
+    spent = work(evaluator, axis(component), lengths, 1.05 * strength / modulus, 2000)
+    assert spent[0] * lengths[0] == pytest.approx(ENERGY, rel=3e-3)
+
+
+def ask_at(evaluator: Evaluator, strain: NDArray[np.float64], lengths: NDArray[np.float64]) -> Answer:
+    return evaluator.evaluate(
+        strain[None], 300.0, np.zeros((1, 1), np.uint8), np.zeros((1, evaluator.history_values)), lengths
+    )
+
+
+def test_a_reduced_strength_leaves_shorter_elements_as_they_are() -> None:
+    cell = composite()
+    strain = np.random.default_rng(6).normal(size=(40, 6)) * 0.012
+    short = 0.9 * LONGEST
+    one, other = (ask(Evaluator(each), strain, length=short) for each in (cell, reduced(cell)))
+    for name in ("stress", "failed", "history", "tangents", "tangent_index"):
+        assert np.array_equal(getattr(one, name), getattr(other, name)), name
+    assert (one.history > 0.0).any()
+
+
+def test_points_of_long_elements_that_hold_share_the_intact_tangent() -> None:
+    evaluator = Evaluator(reduced(composite()))
+    strain = np.random.default_rng(7).normal(size=(40, 6)) * 1e-4
+    answer = ask(evaluator, strain, length=20.0 * LONGEST)
+    assert len(answer.tangents) == 1 and not answer.failed.any()
+    assert np.array_equal(answer.stress, ask(evaluator, strain, length=0.5 * LONGEST).stress)
+
+
+def test_no_energy_is_safe_where_the_strength_depends_on_the_element() -> None:
+    assert safe_energy(composite(), "gmc", 300.0) > 0.0
+    assert safe_energy(reduced(composite()), "gmc", 300.0) == 0.0
+
+
+def test_a_softening_subcell_has_failed_where_its_history_says_so() -> None:
+    """A solver keeps the bits of a try that went too far; with the history of the start the damage comes back."""
+    evaluator = Evaluator(composite(fibre_fails=False))
+    strain = np.tile(0.012 * axis(1), (2, 1))
+    start = ask(evaluator, strain)
+    assert start.history.any() and not start.failed.any()
+    beyond = ask(evaluator, 20.0 * strain, start)
+    assert beyond.failed.any()
+    tried = dataclasses.replace(start, failed=beyond.failed)
+    back, expected = ask(evaluator, 1.01 * strain, tried), ask(evaluator, 1.01 * strain, start)
+    for name in ("stress", "failed", "history", "tangents"):
+        assert np.array_equal(getattr(back, name), getattr(expected, name)), name
+    # With its own history it stays failed.
+    assert np.array_equal(ask(evaluator, 0.1 * strain, beyond).failed, beyond.failed)
+
+
+def test_damages_that_creep_settle_on_the_closed_form() -> None:
+    """A layer in an element just short of its limit: each round of the repetition leaves 0.999 of the error."""
+    evaluator = Evaluator(layered((0.3, 0.7), [0, 1]))
+    length = 0.999 * LONGEST
+    first, last = STRENGTH / YOUNG, 2.0 * ENERGY / (STRENGTH * length)
+    for part in (0.2, 0.5, 0.8):
+        factor = first + part * (last - first)
+        answer = evaluator.evaluate(
+            factor * axis(1)[None], 300.0, np.zeros((1, 1), np.uint8), np.zeros((1, 2)), np.array([length])
+        )
+        assert answer.stress[0, 1] == pytest.approx(STRENGTH * (1.0 - part), rel=1e-5)
+
+
+def test_a_matrix_that_fails_at_once_beside_a_softening_fibre() -> None:
+    """The repetition goes on by the failures of the matrix alone."""
+    tough = dataclasses.replace(fibre(), fracture_energy=1e5)
+    brittle = dataclasses.replace(softening(0.3), fracture_energy=None)
+    cell = dataclasses.replace(composite(), materials=(tough, brittle))
+    answer = ask(Evaluator(cell), 0.05 * axis(1)[None])
+    assert unpack_mask(answer.failed[0], 4).tolist() == [False, True, True, True]
+    assert not answer.history.any()

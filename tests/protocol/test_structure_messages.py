@@ -61,6 +61,20 @@ def test_an_older_service_would_not_know_what_came_with_1_4() -> None:
     assert newer_fields(CONFIGURE, Version(1, 4)) == []
 
 
+def test_an_older_service_would_not_know_what_came_with_1_5() -> None:
+    nodes, elements = np.array([[0.0, 0.0], [1e-3, 0.0], [1e-3, 1e-3], [0.0, 1e-3]]), np.array([[0, 1, 2, 3]])
+    steps = CONFIGURE.increments.model_copy(update={"viscosity": 1e-3})
+    changed = CONFIGURE.model_copy(
+        update={"plane_nodes": nodes, "plane_elements": elements, "increments": steps, "notch_diameter": 1e-3}
+    )
+    assert set(newer_fields(changed, Version(1, 4))) == {
+        "plane_nodes", "plane_elements", "increments.viscosity", "notch_diameter",
+    }  # fmt: skip
+    assert newer_fields(changed, Version(1, 5)) == []
+    assert newer_fields(s.StructureAdvance(watched=[3]), Version(1, 4)) == ["watched"]
+    assert newer_fields(s.StructureAdvance(), Version(1, 4)) == []
+
+
 @pytest.mark.parametrize(
     ("field", "changes"),
     [
@@ -79,6 +93,15 @@ def test_an_older_service_would_not_know_what_came_with_1_4() -> None:
         ("increments.least", {"increments": s.Increments.model_construct(least=0.0)}),
         ("increments.first", {"increments": s.Increments.model_construct(first=0.2, most=0.1)}),
         ("increments.first", {"increments": s.Increments.model_construct(first=1e-6)}),
+        ("increments.viscosity", {"increments": s.Increments.model_construct(viscosity=-1e-3)}),
+        ("increments.dissipation", {"increments": s.Increments.model_construct(dissipation=0.0)}),
+        ("increments.dissipation", {"increments": s.Increments.model_construct(dissipation=1.0, viscosity=1e-3)}),
+        ("notch_diameter", {"notch_diameter": 1e-3}),  # beside a hole
+        ("plane_elements", {"plane_nodes": np.zeros((4, 2))}),
+        ("plane_nodes", {"plane_elements": np.zeros((1, 4), np.int64)}),
+        ("plane_nodes", {"plane_nodes": np.full((4, 2), np.nan), "plane_elements": np.zeros((1, 4), np.int64)}),
+        ("plane_elements", {"plane_nodes": np.zeros((4, 2)), "plane_elements": np.array([[0, 1, 2, 4]])}),
+        ("plane_elements", {"plane_nodes": np.zeros((4, 2)), "plane_elements": np.zeros((0, 4), np.int64)}),
         ("increments.tolerance", {"increments": s.Increments.model_construct(tolerance=0.0)}),
         ("heights", {"heights": np.zeros(1)}),
         ("phase", {"phase": np.ones((1, 1), np.int64)}),
@@ -97,7 +120,11 @@ def test_an_increment_is_a_part_of_the_load(largest: float) -> None:
 @pytest.mark.parametrize("rule", PROBLEM.wrong, ids=lambda rule: rule.label)
 def test_the_kits_wrong_requests_differ_from_its_right_one(rule: Any) -> None:
     if rule.operation == "configure":
-        assert rule.message.plain_values() != CONFIGURE.plain_values()
+        wrong, right = (
+            (one.plain_values(), {name: array.tolist() for name, array in one.array_values().items()})
+            for one in (rule.message, CONFIGURE)
+        )
+        assert wrong != right
 
 
 # --- the cells that the kit serves -------------------------------------------------------------------------------

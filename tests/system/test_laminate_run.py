@@ -5,52 +5,39 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from signal import SIGINT, SIGKILL, Signals
 
-import h5py
 import numpy as np
 import psutil
 import pytest
 from small_runs import StartsRuns
 
+from coordinator.laminate_kill_resume import CELL, INCREMENTS, SCENE, differing, kill_worker, wait_for_increment
 from coordinator.laminate_results import LaminateResults
 from coordinator.run_process import RunProcess
+from protocol.security import make_keys
 
 pytestmark = [pytest.mark.timeout(300), pytest.mark.xdist_group("laminate-run")]
 
-CELL = Path(__file__).parents[2] / "scenes" / "cells" / "im7_epon862_neat.toml"
-SCENE = f"""
-title = "Small cross-ply"
-[laminate]
-layup = "[0/90]s"
-ply_thickness = "0.25 mm"
-length = "8 mm"
-width = "8 mm"
-hole_diameter = "3.175 mm"
-[mesh]
-around = 6
-radial = 5
-growth = 3.0
-[load]
-final_strain = 0.012
-first = 0.1
-most = 0.1
-[micromechanics]
-cell = "{CELL}"
-[output]
-fields_every = 3
-"""
-INCREMENTS = 10
 SECONDS = 200.0
-#: Of a run: what differs from one run of the same scene to the next.
-TIMES = "seconds_"
+WATCHED = """
+[[output.watched]]
+x = "0 mm"
+y = "1.7 mm"
+ply = 1
+[[output.watched]]
+x = "0 mm"
+y = "1.7 mm"
+ply = 2
+"""
 
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("scene") / "small_laminate.toml"
-    path.write_text(SCENE)
+    path.write_text(SCENE + WATCHED)
     return path
 
 
@@ -64,38 +51,8 @@ def unbroken(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def differing(one: Path, other: Path) -> list[str]:
-    """Names of what two results files do not share bit by bit, times apart."""
-    found: list[str] = []
-
-    def compare(first: h5py.Group, second: h5py.Group, path: str) -> None:
-        assert set(first) == set(second), path
-        for name in first:
-            here = f"{path}/{name}"
-            if isinstance(first[name], h5py.Group):
-                compare(first[name], second[name], here)
-            elif not name.startswith(TIMES) and np.asarray(first[name]).tobytes() != np.asarray(second[name]).tobytes():
-                found.append(here)
-
-    with h5py.File(one / "results.h5") as a, h5py.File(other / "results.h5") as b:
-        for group in ("series", "VTKHDF"):
-            compare(a[group], b[group], group)
-        for name in ("new_failures", "layer_damage", "events"):
-            if a[name][:].tolist() != b[name][:].tolist():
-                found.append(name)
-    return found
-
-
 def summary(folder: Path) -> dict:
     return dict(json.loads((folder / "summary.json").read_text()))
-
-
-def wait_for_increment(run: RunProcess, increment: int) -> None:
-    def reached() -> bool:
-        status = run.status("structure")
-        return status is not None and status.step >= increment
-
-    run.wait_until(reached, f"increment {increment}", SECONDS)
 
 
 def run_and_send(
@@ -122,7 +79,12 @@ def test_a_run_ends_with_results_summary_and_report(unbroken: Path) -> None:
     assert 0.0 < told["measures"]["queries_spared"] < 1.0
     assert "depends on the mesh" in told["warnings"][0]
     assert results.events[0]["material"] == "matrix" and results.events[0]["ply"] == 1  # the ply across the pull
+    watched = results.watched
+    assert watched is not None and watched.plies.tolist() == [0, 1] and len(watched.subcells) == INCREMENTS
+    for stress, subcells in zip(watched.stress, watched.subcells, strict=True):
+        assert np.einsum("n,wni->wi", watched.shares, subcells) == pytest.approx(stress, abs=1e-9 * abs(stress).max())
     page = (unbroken / "report.html").read_text()
+    assert page.count("<h3>Ply ") == 2
     assert results.events[0]["sentence"] in page and told["warnings"][0] in page
 
 
@@ -158,15 +120,11 @@ def test_a_killed_worker_changes_no_bit(start: StartsRuns, scene: Path, unbroken
     folder = tmp_path / "run"
     run = start(scene, folder, "--set", "micromechanics.workers=2")
     wait_for_increment(run, 3)
-    front = run.service("micromechanics")
-    assert front is not None
-    workers = [child for child in front.children() if "serve" in child.cmdline()]
-    assert len(workers) == 2
-    workers[0].kill()
+    killed = kill_worker(run)
     assert run.wait(SECONDS) == 0, run.printed
     assert run.survivors(10) == []
     assert (
-        f"its process {workers[0].pid} was killed by signal 9"
+        f"its process {killed} was killed by signal 9"
         in (folder / "services" / "micromechanics" / "log.txt").read_text()
     )
     assert differing(unbroken, folder) == []
@@ -244,3 +202,32 @@ def test_attached_services_serve_a_run_and_live_on(
     wrong = start(scene, tmp_path / "wrong", "--attach", "continuum=ipc:///nowhere")
     assert wrong.wait(SECONDS) == 1
     assert "this scene has the services micromechanics and structure" in wrong.printed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("both", [False, True], ids=["structure-started", "both-attached"])
+def test_keys_reach_the_link_between_the_services(
+    start: StartsRuns, scene: Path, unbroken: Path, tmp_path: Path, both: bool
+) -> None:
+    """Services over TCP with CURVE on; the structure service, started or attached, asks the cells with the keys."""
+    keys = tmp_path / "keys"
+    make_keys(keys)
+    attached: list[str] = []
+    with ExitStack() as stack:
+        for role in ("micromechanics", "structure") if both else ("micromechanics",):
+            command = [sys.executable, "-m", "coordinator.cli", "serve", role, "--keys", str(keys)]
+            folder = tmp_path / role
+            folder.mkdir()
+            process = stack.enter_context(
+                subprocess.Popen([*command, "--folder", str(folder)], stdout=subprocess.PIPE, text=True)
+            )
+            stack.callback(process.terminate)
+            assert process.stdout is not None
+            endpoint = next(line for line in process.stdout if "listens at" in line).split()[-1]
+            assert endpoint.startswith("tcp://127.0.0.1:")
+            attached += ["--attach", f"{role}={endpoint}"]
+        run = start(scene, tmp_path / "run", *attached, "--keys", str(keys))
+        assert run.wait(SECONDS) == 0, run.printed
+        assert differing(unbroken, tmp_path / "run") == []
+        refused = start(scene, tmp_path / "refused", *attached)
+        assert refused.wait(SECONDS) == 1 and "keys" in refused.printed
