@@ -227,11 +227,12 @@ def export(scene: Path, file: Path, overrides: tuple[str, ...]) -> None:
 @cli.command()
 @click.argument("cases", nargs=-1, metavar="[GROUP[/CASE]]...")
 @click.option("--json", "json_file", type=NEW_FILE, help="Write the answers to a file.")
-def verify(cases: tuple[str, ...], json_file: Path | None) -> None:
+@click.option("--out", "kept", type=DIRECTORY, help="Keep the pictures and tables that the cases make in this folder.")
+def verify(cases: tuple[str, ...], json_file: Path | None, kept: Path | None) -> None:
     """Run cases with a known answer; print value, reference, error, tolerance, seconds."""
     from coordinator.verify import verify_cases
 
-    sys.exit(0 if verify_cases(cases, json_file) else 1)
+    sys.exit(0 if verify_cases(cases, json_file, kept) else 1)
 
 
 @cli.command()

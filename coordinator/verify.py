@@ -61,7 +61,9 @@ class Outcome:
         }
 
 
-def verify_cases(wanted: Sequence[str], json_file: Path | None, console: Console | None = None) -> bool:
+def verify_cases(
+    wanted: Sequence[str], json_file: Path | None, kept: Path | None = None, console: Console | None = None
+) -> bool:
     """Run cases, print a table, write JSON; return whether nothing failed.
 
     Parameters
@@ -70,19 +72,30 @@ def verify_cases(wanted: Sequence[str], json_file: Path | None, console: Console
         ``GROUP`` or ``GROUP/CASE``; all cases that are not slow where empty.
     json_file : Path, optional
         File for the answer.
+    kept : Path, optional
+        Folder for the pictures and tables that the cases make; without one they go with the end of the command.
 
     Raises
     ------
     UnknownCase
         Where a name fits no case; the message lists those that there are.
+    FileExistsError
+        Where `kept` has something of a wanted case already.
     """
     console = console or wide_console()
+    cases = select(wanted)
     outcomes: list[Outcome] = []
     with tempfile.TemporaryDirectory(prefix="scalebridge-verify-") as folder:
-        for case in select(wanted):
+        folders = {case: (kept or Path(folder)) / f"{case.group}-{case.name}" for case in cases}
+        for place in folders.values():
+            if place.exists():
+                raise FileExistsError(f"{place} is there already; another folder than {kept} is needed")
+        for case, place in folders.items():
             console.print(f"[dim]{case.group}/{case.name}: {case.summary}[/dim]", highlight=False)
-            outcomes += run_case(case, Path(folder) / f"{case.group}-{case.name}")
+            outcomes += run_case(case, place)
     console.print(_table(outcomes))
+    if kept is not None:
+        console.print(f"pictures and tables: {kept}", markup=False, soft_wrap=True)
     if json_file is not None:
         answer = {
             "scalebridge": package_version(),

@@ -12,8 +12,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fem_service.equilibrium import Response
 from fem_service.point_material import PointState
-from fem_service.quasi_static import QuasiStatic, Response
+from fem_service.quasi_static import QuasiStatic
 
 #: Change of a component over the largest one of the point.
 _PART: Final = 1e-6

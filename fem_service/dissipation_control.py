@@ -16,7 +16,8 @@ from __future__ import annotations
 import numpy as np
 
 from fem_service.difference_tangent import differentiated
-from fem_service.quasi_static import Aim, Equilibrium, NotConverged, QuasiStatic
+from fem_service.equilibrium import Aim, Equilibrium, NotConverged
+from fem_service.quasi_static import QuasiStatic
 
 #: Allowed error of the dissipation, relative.
 _ACCURATE = 1e-6

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fem_service.quasi_static import Equilibrium, NotConverged, QuasiStatic
+from fem_service.equilibrium import Equilibrium, NotConverged
+from fem_service.quasi_static import QuasiStatic
 
 #: Iterations below and above which the next increment is larger and smaller, and by how much.
 _FEW, _MANY = 12, 20

@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fem_service.equilibrium import Grips
 from fem_service.laminate_mesh import LaminateMesh
-from fem_service.quasi_static import Grips
 
 _LENGTH: Final = 1e-3
 _STRESS: Final = 1e6

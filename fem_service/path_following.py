@@ -9,8 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from fem_service.dissipation_control import advance_by_dissipation, taken
+from fem_service.equilibrium import Equilibrium, NotConverged
 from fem_service.increments import Increment, Steps, size_after
-from fem_service.quasi_static import Equilibrium, NotConverged, QuasiStatic
+from fem_service.quasi_static import QuasiStatic
 
 #: An increment by the load may take more than the energy of an increment by this part of it.
 _NEAR = 1e-3

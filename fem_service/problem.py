@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from fem_service.cohesive_law import CohesiveLaw
+from fem_service.equilibrium import Grips
 from fem_service.laminate_deck import laminate_deck
 from fem_service.laminate_mesh import LaminateMesh, stack
 from fem_service.notched_bar import edge_notches
 from fem_service.plane_check import check_plane, fitted
 from fem_service.plane_mesh import PlaneMesh, open_hole, rectangle
-from fem_service.quasi_static import Grips
 from fem_service.tension import tension_grips
 from protocol import structure as s
 from protocol.errors import ProtocolError

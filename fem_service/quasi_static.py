@@ -23,7 +23,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import scipy.sparse
@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from fem_service.acceleration import Acceleration
 from fem_service.cohesive_law import CohesiveLaw
 from fem_service.cohesive_layer import CohesiveLayers, Separation
+from fem_service.equilibrium import Aim, Equilibrium, Grips, NotConverged, Response, held_back
 from fem_service.factorisation import Factoriser
 from fem_service.hexahedron import POINTS, Hexahedra
 from fem_service.laminate_mesh import LaminateMesh
@@ -52,115 +53,6 @@ _TURN = 6
 #: Out of balance, below which points fail in a laminate with cohesive layers, and iterations that they wait for it: a
 #: laminate that finds no balance in the meantime is breaking, and goes on breaking.
 _STAGE, _WAIT = 1e-3, 4 * _TURN
-
-
-class NotConverged(Exception):
-    """An increment that found no equilibrium; a smaller one may.
-
-    Attributes
-    ----------
-    iterations : int
-        That it made.
-    """
-
-    def __init__(self, sentence: str, iterations: int) -> None:
-        super().__init__(sentence)
-        self.iterations = iterations
-
-
-@dataclass(frozen=True, eq=False)
-class Grips:
-    """Degrees of freedom whose displacement is given, in proportion to the load.
-
-    Attributes
-    ----------
-    freedoms : ndarray of int64, shape (held,)
-        3 n + i is component i of node n.
-    per_load : ndarray of float, shape (held,)
-        Displacement at a load of 1, m.
-    """
-
-    freedoms: NDArray[np.int64]
-    per_load: NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class Equilibrium:
-    """A laminate in equilibrium.
-
-    Attributes
-    ----------
-    load : float
-    displacement : ndarray of float, shape (nodes, 3)
-        m.
-    stress : ndarray of float, shape (bricks, 8, 6)
-        In the axes of the laminate, Pa.
-    points : PointState
-        Of all integration points, by brick and point.
-    layers : ndarray of float, shape (layers, 4, 2)
-        Damage of the cohesive layers.
-    force : float
-        Work of the grips per load, N: the reaction where all of them move by one metre at a load of 1.
-    iterations : int
-        That it took; the last one finds the balance, so solutions are one fewer.
-    residual : float
-        Largest force out of balance at a free node, over the largest at any; where grips and levers feel next to
-        nothing, over 1e-4 of the largest force of an element.
-    viscous_energy : float
-        That the viscosity of the cohesive layers has taken so far, J.
-    """
-
-    load: float
-    displacement: NDArray[np.float64]
-    stress: NDArray[np.float64]
-    points: PointState
-    layers: NDArray[np.float64]
-    force: float
-    iterations: int
-    residual: float
-    viscous_energy: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class Aim:
-    """Where an increment goes, and from where."""
-
-    start: Equilibrium
-    load: float
-    relaxation: float
-
-
-@dataclass(frozen=True, eq=False)
-class Response:
-    """Forces of all elements at one displacement; `failed` is what fails at its `strain`, held back or not."""
-
-    strain: NDArray[np.float64]  # of the points, in the axes of the plies
-    failed: NDArray[np.uint8]
-    answer: PointAnswer
-    stress: NDArray[np.float64]
-    separation: Separation | None
-    force: NDArray[np.float64]
-    largest: float  # by which a force out of balance is judged
-
-    @property
-    def fails_later(self) -> bool:
-        """Whether points were held back that fail at this strain."""
-        return not np.array_equal(self.failed, self.answer.state.failed)
-
-
-def _held_back(answer: PointAnswer, strain: NDArray[np.float64], points: PointState, before: Response) -> PointAnswer:
-    """An answer in which points that fail anew go on as they were in the response before."""
-    new = np.flatnonzero((answer.state.failed != points.failed).any(axis=1))
-    if not len(new):
-        return answer
-    stress, failed, index = answer.stress.copy(), answer.state.failed.copy(), answer.index.copy()
-    used, place = np.unique(before.answer.index[new], return_inverse=True)
-    tangents = before.answer.tangents[used]
-    change = strain[new] - before.strain[new]
-    stress[new] = before.answer.stress[new] + np.einsum("pij,pj->pi", tangents[place], change)
-    failed[new] = points.failed[new]
-    index[new] = len(answer.tangents) + place
-    return PointAnswer(stress, replace(answer.state, failed=failed), index, np.concatenate([answer.tangents, tangents]))
 
 
 class QuasiStatic:
@@ -422,7 +314,7 @@ class QuasiStatic:
         answer = self.material.respond(strain, points, self.element_length)
         failed = answer.state.failed
         if before is not None:
-            answer = _held_back(answer, strain, points, before)
+            answer = held_back(answer, strain, points, before)
         return replace(self._assembled(answer, strain, nodal, aim), failed=failed)
 
     def ply_strains(self, displacement: NDArray[np.float64]) -> NDArray[np.float64]:

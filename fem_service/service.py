@@ -12,13 +12,14 @@ import zmq
 from numpy.typing import NDArray
 
 from fem_service.cell_client import CellClient
+from fem_service.equilibrium import Equilibrium, NotConverged
 from fem_service.factorisation import fastest
 from fem_service.hexahedron import POINTS
 from fem_service.increments import Increment, Steps, next_increment
 from fem_service.path_following import PathIncrement, next_on_path
 from fem_service.point_material import PointState
 from fem_service.problem import cell_of, dissipation_of, grips_of, law_of, mesh_of, shares
-from fem_service.quasi_static import Equilibrium, NotConverged, QuasiStatic
+from fem_service.quasi_static import QuasiStatic
 from fem_service.watched_bricks import watch
 from protocol import structure as s
 from protocol.client import Client

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from fem_service.equilibrium import Grips
 from fem_service.laminate_mesh import LaminateMesh
-from fem_service.quasi_static import Grips
 
 #: Part of the laminate's extent within which a node lies on a face.
 _ON = 1e-9

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fem_service.equilibrium import Equilibrium
 from fem_service.hexahedron import POINTS
 from fem_service.ply_axes import strain_to_ply
 from fem_service.point_material import PointState
-from fem_service.quasi_static import Equilibrium, QuasiStatic
+from fem_service.quasi_static import QuasiStatic
 
 #: Stress of each subcell, shape (points, subcells, 6), from strains and the state of points.
 Localise = Callable[[NDArray[np.float64], PointState], NDArray[np.float64]]

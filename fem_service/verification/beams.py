@@ -23,12 +23,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fem_service.cohesive_law import CohesiveLaw
+from fem_service.equilibrium import Equilibrium, Grips
 from fem_service.increments import Steps, next_increment
 from fem_service.laminate_mesh import LaminateMesh, stack
 from fem_service.lever import Lever
 from fem_service.plane_mesh import PlaneMesh
 from fem_service.point_material import ElasticMaterial
-from fem_service.quasi_static import Equilibrium, Grips, QuasiStatic
+from fem_service.quasi_static import QuasiStatic
 
 ARM: Final = 1.56e-3  # m, thickness h of one arm
 WIDTH: Final = 1e-3  # m, of the slice

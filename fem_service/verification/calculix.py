@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fem_service.equilibrium import Grips
 from fem_service.laminate_deck import laminate_deck
 from fem_service.laminate_mesh import LaminateMesh, stack
 from fem_service.plane_mesh import open_hole
 from fem_service.point_material import ElasticMaterial, PointMaterial
-from fem_service.quasi_static import Grips, QuasiStatic
+from fem_service.quasi_static import QuasiStatic
 from fem_service.tension import tension_grips
 from protocol.verification import CannotRun, Case, Check
 

@@ -19,8 +19,9 @@ from matplotlib.figure import Figure
 
 from fem_service.cohesive_law import CohesiveLaw
 from fem_service.dissipation_control import advance_by_dissipation
+from fem_service.equilibrium import Equilibrium
 from fem_service.increments import Steps
-from fem_service.quasi_static import Equilibrium, QuasiStatic
+from fem_service.quasi_static import QuasiStatic
 from fem_service.verification.beams import (
     HALF_SPAN,
     WIDTH,

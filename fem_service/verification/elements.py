@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from fem_service.cohesive_law import CohesiveLaw
 from fem_service.cohesive_layer import CohesiveLayers
+from fem_service.equilibrium import Grips
 from fem_service.hexahedron import Hexahedra
 from fem_service.laminate_mesh import LaminateMesh, stack
 from fem_service.plane_mesh import rectangle
 from fem_service.point_material import ElasticMaterial
-from fem_service.quasi_static import Grips, QuasiStatic
+from fem_service.quasi_static import QuasiStatic
 from fem_service.verification.beams import transversely_isotropic
 from protocol.verification import Case, Check
 

@@ -25,7 +25,7 @@ CRACK_BAND: Final = "im7_epon862_crack_band"
 ELIMINATION: Final = "im7_epon862_neat"
 #: Elements round a quarter of the hole, and from the hole to the side: all meshes are alike, and elements about square,
 #: since the length over which one smears its cracks is the edge of a square of its area.
-MESHES: Final = ((8, 4), (12, 6), (16, 8), (24, 12), (38, 19))
+MESHES: Final = ((8, 4), (16, 8), (24, 12), (32, 16), (38, 19))
 #: Last strain and increments of strain; those of elimination are smaller: its peak comes at a third of the strain.
 PULLS: Final = {CRACK_BAND: (0.024, 0.8e-3), ELIMINATION: (0.012, 0.24e-3)}
 #: Peaks of the dissertation, neat and with 2 wt% (Table 6.3), Pa.

@@ -49,7 +49,7 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> None:
 def answers(tmp_path: Path, *wanted: str) -> tuple[bool, list[dict[str, Any]], str]:
     """Run cases; return verdict, rows of the JSON file, and what was printed."""
     file, shown = tmp_path / "answer.json", io.StringIO()
-    passed = verify_cases(wanted, file, Console(file=shown, width=240))
+    passed = verify_cases(wanted, file, console=Console(file=shown, width=240))
 
     def no_constant(name: str) -> None:
         raise AssertionError(f"{name} is no JSON")
@@ -133,9 +133,18 @@ def test_cases_of_one_name_in_two_groups_have_folders_of_their_own(
         return []
 
     monkeypatch.setattr(verify, "installed", lambda: [Case(group, "same", "", noted) for group in ("one", "two")])
-    assert verify_cases([], None, Console(file=io.StringIO()))
+    assert verify_cases([], None, console=Console(file=io.StringIO()))
     assert len(set(folders)) == 2
     assert not any(folder.exists() for folder in folders)
+
+
+def test_what_cases_make_is_kept_where_asked_and_never_overwritten(tmp_path: Path) -> None:
+    kept, console = tmp_path / "kept", Console(file=io.StringIO())
+    assert verify_cases(["solid/good"], None, kept, console)
+    assert (kept / "solid-good" / "file").read_text() == "cases may write here"
+    with pytest.raises(FileExistsError, match="solid-good is there already; another folder than"):
+        verify_cases(["fluid/missing", "solid/good"], None, kept, console)
+    assert not (kept / "fluid-missing").exists()
 
 
 def test_the_installed_cases_have_names_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,11 +9,12 @@ import pytest
 
 from fem_service.cohesive_law import CohesiveLaw
 from fem_service.dissipation_control import advance_by_dissipation
+from fem_service.equilibrium import Grips
 from fem_service.laminate_mesh import stack
 from fem_service.lever import Lever
 from fem_service.plane_mesh import rectangle
 from fem_service.point_material import ElasticMaterial
-from fem_service.quasi_static import Grips, QuasiStatic
+from fem_service.quasi_static import QuasiStatic
 
 LAW = CohesiveLaw(1e14, 60e6, 90e6, 200.0, 1000.0, 1.0)
 YOUNG, HEIGHT, AREA = 1e9, 0.2e-3, 1e-6  # of both bricks together: softer than the layer softens

@@ -12,11 +12,12 @@ import pytest
 from fem_service.cell_client import CellClient
 from fem_service.cohesive_law import CohesiveLaw
 from fem_service.cohesive_layer import CohesiveLayers
+from fem_service.equilibrium import Equilibrium, Grips
 from fem_service.hexahedron import InvertedElement
 from fem_service.laminate_mesh import LaminateMesh, stack
 from fem_service.plane_mesh import PlaneMesh, open_hole, rectangle
 from fem_service.point_material import ElasticMaterial, PointAnswer, PointState
-from fem_service.quasi_static import Equilibrium, Grips, QuasiStatic
+from fem_service.quasi_static import QuasiStatic
 from fem_service.tension import tension_grips
 from fem_service.verification.beams import transversely_isotropic
 from fem_service.verification.laminate_stiffness import lamination

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fem_service.cohesive_law import CohesiveLaw
+from fem_service.equilibrium import NotConverged
 from fem_service.increments import Steps, next_increment
-from fem_service.quasi_static import NotConverged
 from fem_service.verification.beams import curve, double_cantilever, split_beam
 
 LAW = CohesiveLaw(1e15, 80e6, 100e6, 969.0, 1719.0, 2.284)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +10,6 @@ import pytest
 
 from fem_service.plane_mesh import open_hole
 from fem_service.service import LaminateService
-from gmc_service.service import make_gmc
 from protocol import micromechanics as m
 from protocol import structure as s
 from protocol.client import Client
@@ -25,26 +22,6 @@ YOUNG, STRENGTH, TOUGHNESS = 3e9, 50e6, 1250.0
 COHESIVE = s.CohesiveConstants(
     stiffness=1e14, normal_strength=4e6, shear_strength=4e6, opening_toughness=50.0, sliding_toughness=100.0
 )
-
-
-@pytest.fixture(scope="module")
-def folder() -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(prefix="scalebridge-") as name:
-        yield Path(name)
-
-
-@pytest.fixture(scope="module")
-def cells(folder: Path) -> Iterator[str]:
-    """Endpoint of a micromechanics service."""
-    with running(make_gmc(folder), f"ipc://{folder}/cells") as server:
-        yield server.endpoint
-
-
-@pytest.fixture
-def laminate() -> Iterator[LaminateService]:
-    service = LaminateService()
-    yield service
-    service.close()
 
 
 def request(cells: str, cell: m.RegisterCell, **changes: Any) -> s.StructureConfigure:

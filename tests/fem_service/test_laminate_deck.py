@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from fem_service.equilibrium import Grips
 from fem_service.hexahedron import Hexahedra
 from fem_service.laminate_deck import laminate_deck
 from fem_service.laminate_file import _TURNED, read_laminate
 from fem_service.laminate_mesh import LaminateMesh, stack
 from fem_service.plane_mesh import open_hole, rectangle
 from fem_service.point_material import ElasticMaterial
-from fem_service.quasi_static import Grips
 from fem_service.tension import tension_grips
 from fem_service.verification.calculix import largest_differences, run_calculix, solved
 

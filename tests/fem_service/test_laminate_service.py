@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import itertools
-import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,26 +28,6 @@ from protocol.service import Service
 
 FIELDS = ["displacement", "stress", "failed", "layer_damage"]
 NAMES = itertools.count()
-
-
-@pytest.fixture(scope="module")
-def folder() -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(prefix="scalebridge-") as name:
-        yield Path(name)
-
-
-@pytest.fixture(scope="module")
-def cells(folder: Path) -> Iterator[str]:
-    """Endpoint of a micromechanics service."""
-    with running(make_gmc(folder), f"ipc://{folder}/cells") as server:
-        yield server.endpoint
-
-
-@pytest.fixture
-def laminate() -> Iterator[LaminateService]:
-    service = LaminateService()
-    yield service
-    service.close()
 
 
 def strong_cell() -> m.RegisterCell:

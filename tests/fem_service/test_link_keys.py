@@ -34,13 +34,6 @@ def locked(keys: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str
         yield server.endpoint
 
 
-@pytest.fixture
-def laminate() -> Iterator[LaminateService]:
-    service = LaminateService()
-    yield service
-    service.close()
-
-
 def test_with_its_keys_the_link_works_and_changes_no_bit(laminate: LaminateService, locked: str, keys: Path) -> None:
     with running(make_gmc(keys.parent), f"ipc://{keys.parent}/open") as server:
         laminate.configure(request(server.endpoint))

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from fem_service.cohesive_law import CohesiveLaw
+from fem_service.equilibrium import Grips
 from fem_service.laminate_mesh import LaminateMesh, stack
 from fem_service.lever import Lever
 from fem_service.plane_mesh import open_hole, rectangle
 from fem_service.point_material import ElasticMaterial, PointAnswer, PointState
-from fem_service.quasi_static import Grips, QuasiStatic
+from fem_service.quasi_static import QuasiStatic
 from fem_service.tension import tension_grips
 from fem_service.verification.beams import transversely_isotropic
 from fem_service.verification.laminate_stiffness import bent, lamination

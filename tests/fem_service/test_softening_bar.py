@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from fem_service.acceleration import Acceleration
+from fem_service.equilibrium import Equilibrium
 from fem_service.laminate_mesh import stack
 from fem_service.plane_mesh import rectangle
 from fem_service.point_material import PointAnswer, PointState
-from fem_service.quasi_static import Equilibrium, QuasiStatic
+from fem_service.quasi_static import QuasiStatic
 from fem_service.tension import tension_grips
 
 YOUNG, STRENGTH, END = 10e9, 50e6, 4.0  # Pa; strain at the end of softening over that at its start

@@ -14,7 +14,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 #: Commands that end within seconds; the others are run by the slow test.
-QUICK = ("check", "backends", "micro")
+QUICK = ("check", "backends", "micro", "export")
 #: make sets up an environment of its own; a fresh clone is its test, see CONTRIBUTING.
 MAKE = ("make run", "make test")
 
