@@ -390,3 +390,24 @@ def test_a_matrix_that_fails_at_once_beside_a_softening_fibre() -> None:
     answer = ask(Evaluator(cell), 0.05 * axis(1)[None])
     assert unpack_mask(answer.failed[0], 4).tolist() == [False, True, True, True]
     assert not answer.history.any()
+
+
+def test_a_matrix_without_energy_beside_fibres_with_one_fails_as_in_a_cell_that_softens_nowhere() -> None:
+    brittle = dataclasses.replace(softening(), fracture_energy=None)
+    strong = dataclasses.replace(fibre(), fracture_energy=1e5)
+    phase = np.array([[0, 1], [1, 1]])
+    mixed, sudden = (
+        Evaluator(Cell(np.array([0.7, 0.3]), np.array([0.7, 0.3]), phase, (one, brittle), knock_down=1e-4))
+        for one in (strong, fibre())
+    )
+    assert mixed.history_values > 0 and sudden.history_values == 0
+    across = np.array([0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+    found = drive(mixed, across, np.array([1e-4]), 0.03, 30)
+    broken = 0
+    for (_, soft), (_, hard) in zip(found, drive(sudden, across, np.array([1e-4]), 0.03, 30), strict=True):
+        np.testing.assert_array_equal(soft.failed, hard.failed)
+        np.testing.assert_allclose(soft.stress, hard.stress, rtol=1e-9, atol=1e-3)
+        tangents = soft.tangents[soft.tangent_index], hard.tangents[hard.tangent_index]
+        np.testing.assert_allclose(*tangents, rtol=1e-9, atol=1e-9 * np.abs(tangents[1]).max())
+        broken = int(unpack_mask(soft.failed, 4).sum())
+    assert broken == 3  # all of the matrix
