@@ -104,7 +104,8 @@ def _scene_picture(
     shared = points.weight < 1.0
     spacing = spacing_of(scene, points) / unit
     size = ((0.42 if close else 1.3) * spacing * scale) ** 2  # apart from each other, or as an area
-    for part, colour, label in ((~shared, POINT, "material point"), (shared, SHARED, "material point, shared")):
+    partly = "material point, shared" if scene.atomistic is not None else "material point, cut by a hole"
+    for part, colour, label in ((~shared, POINT, "material point"), (shared, SHARED, partly)):
         chosen = seen & part
         if chosen.any():
             axes.scatter(
@@ -145,11 +146,12 @@ def _scene_picture(
             if handle is not None and hasattr(handle, "set_sizes"):
                 handle.set_sizes([22.0])
         assert figure.get_figheight() > height
-    caption = (
-        "Material points, atoms, anchors and cells in their true places; thin lines are the grid."
-        if close
-        else "Arrows: edges that are moved or loaded. Shared points carry part of stiffness and mass beside the atoms."
-    )
+    caption = "Material points, atoms, anchors and cells in their true places; thin lines are the grid."
+    if not close:
+        caption = "Arrows: edges that are moved or loaded."
+        if shared.any():
+            beside = "beside the atoms" if scene.atomistic is not None else "outside the hole"
+            caption += f" Points of the second colour carry part of stiffness and mass, {beside}."
     return picture(figure, title, caption, raster=True)
 
 
@@ -186,7 +188,8 @@ def stress_pictures(results: Results, scene: Scene, most: int = 3) -> list[Pictu
     if points is None or len(points) < 2:
         return []
     frames = _chosen(len(points), most)
-    limit = _limits(points.frame(frames[-1]).stress[:, _stress_axis(scene)] / units_of(scene).stress[0])
+    shown = np.concatenate([points.frame(frame).stress[:, _stress_axis(scene)] for frame in frames])
+    limit = _limits(shown / units_of(scene).stress[0])
     found = []
     whole = body_window(scene)
     around = whole

@@ -146,7 +146,7 @@ def _curve(results: LaminateResults) -> Picture:
         axes.axvline(100 * event["strain"], color=colour, linewidth=1.0, linestyle=(4 * place, (4, 12)),
                      label=f"{event['material']}, ply {event['ply'] + 1}")  # fmt: skip
     if results.events:
-        axes.legend(title="first failure of", loc="lower center", handlelength=4.0)
+        axes.legend(title="first failure of", loc="lower center", handlelength=4.0, frameon=True, framealpha=1.0)
     axes.set_xlabel("elongation over length (%)")
     axes.set_ylabel("mean stress (MPa)")
     axes.set_ylim(bottom=0.0, top=1.15 * max(float(stress.max()), 1e-12))

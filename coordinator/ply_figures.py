@@ -19,7 +19,7 @@ def ply_pictures(results: Results, scene: Scene) -> list[Picture]:
     points = results.points
     if points is None or not len(points) or not points.frame(len(points) - 1).failed:
         return []
-    curve = _curve(results, scene)
+    curve = pull_curve(results, scene)
     if curve is None:
         return [_maps(points.frame(len(points) - 1), scene, "at the end")]
     strain, stress = curve
@@ -31,10 +31,10 @@ def ply_pictures(results: Results, scene: Scene) -> list[Picture]:
     return found
 
 
-def _curve(results: Results, scene: Scene) -> tuple[FloatArray, FloatArray] | None:
-    """Strain, and force over the whole section across the pull, Pa."""
+def pull_curve(results: Results, scene: Scene) -> tuple[FloatArray, FloatArray] | None:
+    """Strain, and force over the whole section across the pull, Pa; None where the material has no plies or no pull."""
     axis, material = scene.continuum.pull_axis, scene.continuum.material
-    if axis is None or material is None or len(results.step) < 2:
+    if axis is None or material is None or material.law != "laminate" or len(results.step) < 2:
         return None
     width = scene.continuum.upper[1 - axis] - scene.continuum.lower[1 - axis]
     series = results.series

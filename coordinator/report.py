@@ -19,7 +19,7 @@ from coordinator.field_figures import (
     stress_pictures,
 )
 from coordinator.figures import Picture, style
-from coordinator.ply_figures import ply_pictures
+from coordinator.ply_figures import ply_pictures, pull_curve
 from coordinator.report_page import page
 from coordinator.results import Results
 from coordinator.scene import Scene, SceneError, read_resolved
@@ -30,6 +30,7 @@ from coordinator.summary import Summary, measures_of
 #: A tip by connectivity moves by whole rows; less than this is no growth.
 LEAST_GROWTH = 0.5 * ANGSTROM
 
+_WHERE = {True: "Where continuum and atoms are and how they overlap.", False: "The body and what moves it."}
 _STATUS = {
     "finished": "finished",
     "stopped": "stopped as asked",
@@ -106,7 +107,7 @@ def _report(results: Results, summary: Summary | None) -> str:
     sections: list[Section] = []
     if scene is not None:
         sections = [
-            Section("Scene", "Where continuum and atoms are and how they overlap.", scene_pictures(results, scene)),
+            Section("Scene", _WHERE[scene.atomistic is not None], scene_pictures(results, scene)),
             Section("Crack", "Atoms around the tip.", _crack_pictures(results, scene)),
             Section("Strain", "A uniform strain should pass unchanged.", strain_pictures(results, scene)),
             Section("Stress", "One colour scale for all times.", stress_pictures(results, scene)),
@@ -176,6 +177,11 @@ def headline(results: Results, scene: Scene | None, measures: dict[str, float | 
             f" {100 * strain.yy:.3g}\u00a0% ({100 * error:+.2g}\u00a0%)."
         )
     if applied is not None:
+        curve = pull_curve(results, scene) if scene is not None else None
+        if curve is not None and curve[1].max() > 0.0:
+            strain_then, stress = curve
+            at_peak = 100 * strain_then[int(np.argmax(stress))]
+            return f"It bears {stress.max() / 1e6:.4g}\u00a0MPa at {at_peak:.3g}\u00a0% elongation."
         return f"{100 * applied:.3g}\u00a0% strain was reached."
     return f"{int(results.step[-1])} steps were made."
 
