@@ -115,7 +115,7 @@ def make_square(configuration: Configuration, points: int, threads: int) -> Mate
 
 def bytes_per_point(configuration: Configuration, points: int) -> float:
     """Memory that a solver holds, everything included, per point [bytes]; nodal tables are a part of it."""
-    make_square(configuration, points, 1)  # compiles before the count begins
+    make_square(configuration, points, 1).advance(1)  # compiles before the count begins
     tracemalloc.start()
     try:
         solver = make_square(configuration, points, 1)
