@@ -135,6 +135,7 @@ class QuasiStatic:
         angles, which = np.unique(mesh.angles, return_inverse=True)
         self._turns = np.array([strain_to_ply(angle) for angle in angles])
         self._angle = which.reshape(-1)[mesh.ply]  # of each brick, its row of the turns
+        self._brick_turns = self._turns[self._angle]
         self.element_length = self._lengths()
         self._rest, self._rest_load = self._at_rest()
         self.watch: Callable[[int], None] = lambda iteration: None
@@ -319,14 +320,14 @@ class QuasiStatic:
 
     def ply_strains(self, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
         """Strains of all points in the axes of their plies, shape (8 bricks, 6)."""
-        local = np.einsum("eij,epj->epi", self._turns[self._angle], self.bricks.strains(displacement))
+        local = self.bricks.strains(displacement) @ self._brick_turns.transpose(0, 2, 1)
         return np.ascontiguousarray(local.reshape(-1, 6))
 
     def _assembled(
         self, answer: PointAnswer, strain: NDArray[np.float64], nodal: NDArray[np.float64], aim: Aim
     ) -> Response:
         """Forces of all elements where the material has answered; `nodal` are displacements, shape (nodes, 3)."""
-        stress = np.einsum("eji,epj->epi", self._turns[self._angle], answer.stress.reshape(-1, POINTS, 6))
+        stress = answer.stress.reshape(-1, POINTS, 6) @ self._brick_turns
         forces = [self.bricks.forces(stress)]
         separation = None
         if self.layers is not None:
@@ -352,10 +353,12 @@ class QuasiStatic:
         return self._pattern.matrix(stiffnesses)
 
     def _turned(self, answer: PointAnswer) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Tangents in the axes of the laminate: a table for each angle, one after the other."""
-        table = np.einsum("aji,tjk,akl->atil", self._turns, answer.tangents, self._turns).reshape(-1, 6, 6)
-        index = answer.index.reshape(-1, POINTS) + len(answer.tangents) * self._angle[:, None]
-        return np.ascontiguousarray(table), np.ascontiguousarray(index)
+        """Tangents in the axes of the laminate: a row for each pair of a tangent and an angle that there is."""
+        count = len(answer.tangents)
+        pairs, index = np.unique(answer.index.reshape(-1, POINTS) + count * self._angle[:, None], return_inverse=True)
+        turns = self._turns[pairs // count]
+        table = turns.transpose(0, 2, 1) @ answer.tangents[pairs % count] @ turns
+        return np.ascontiguousarray(table), np.ascontiguousarray(index.reshape(-1, POINTS).astype(np.int64))
 
     def work_per_load(self, displacement: NDArray[np.float64], response: Response, load: float) -> float:
         """`Equilibrium.force` of a response."""

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from laminate_requests import request, strong_cell
 
 from fem_service.plane_mesh import open_hole
 from fem_service.service import LaminateService
@@ -24,18 +25,6 @@ COHESIVE = s.CohesiveConstants(
 )
 
 
-def request(cells: str, cell: m.RegisterCell, **changes: Any) -> s.StructureConfigure:
-    """A cross-ply with a hole, one eighth of it, 24 bricks."""
-    values: dict[str, Any] = {
-        "length": 8e-3, "width": 8e-3, "hole_diameter": 3e-3, "angles": [0.0, np.pi / 2], "ply_thickness": 2.5e-4,
-        "quarter": True, "lower_half": True, "mesh": s.PlateMesh(around=4, radial=3, growth=3.0),
-        "temperature": 300.0, "final_strain": 1.5e-2, "increments": s.Increments(first=0.1, most=0.1),
-        "micromechanics": cells,
-    }  # fmt: skip
-    fields = {name: getattr(cell, name) for name in m.RegisterCell.model_fields}
-    return s.StructureConfigure(**fields, **{**values, **changes})
-
-
 def softening_cell(toughness: float = TOUGHNESS) -> m.RegisterCell:
     """One material with no contraction that softens in tension along axis 1 alone."""
     stiffness = YOUNG * np.diag([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
@@ -47,12 +36,6 @@ def softening_cell(toughness: float = TOUGHNESS) -> m.RegisterCell:
     return m.RegisterCell(
         heights=np.ones(1), widths=np.ones(1), phase=np.zeros((1, 1), np.int64), materials=[material], knock_down=1e-6
     )
-
-
-def strong_cell() -> m.RegisterCell:
-    """The kit's cell in which nothing can fail."""
-    cell = micromechanics_cell()
-    return cell.model_copy(update={"materials": [one.model_copy(update={"failures": []}) for one in cell.materials]})
 
 
 def restored(service: LaminateService, saved: CheckpointReply) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from laminate_requests import request, strong_cell
 
 import fem_service.service
 from fem_service.cell_client import CellClient
@@ -28,25 +29,6 @@ from protocol.service import Service
 
 FIELDS = ["displacement", "stress", "failed", "layer_damage"]
 NAMES = itertools.count()
-
-
-def strong_cell() -> m.RegisterCell:
-    """The kit's cell in which nothing can fail."""
-    cell = micromechanics_cell()
-    return cell.model_copy(update={"materials": [one.model_copy(update={"failures": []}) for one in cell.materials]})
-
-
-def request(cells: str, cell: m.RegisterCell | None = None, **changes: Any) -> s.StructureConfigure:
-    """A cross-ply with a hole, one eighth of it, 24 bricks."""
-    cell = cell or micromechanics_cell()
-    values: dict[str, Any] = {
-        "length": 8e-3, "width": 8e-3, "hole_diameter": 3e-3, "angles": [0.0, np.pi / 2], "ply_thickness": 2.5e-4,
-        "quarter": True, "lower_half": True, "mesh": s.PlateMesh(around=4, radial=3, growth=3.0),
-        "temperature": 300.0, "final_strain": 1.5e-2, "increments": s.Increments(first=0.1, most=0.1),
-        "micromechanics": cells,
-    }  # fmt: skip
-    fields = {name: getattr(cell, name) for name in m.RegisterCell.model_fields}
-    return s.StructureConfigure(**fields, **{**values, **changes})
 
 
 def plate(cells: str, angles: list[float], cell: m.RegisterCell | None = None, **changes: Any) -> s.StructureConfigure:
